@@ -1,0 +1,23 @@
+"""The nouns: frozen dataclasses of checked, read-only arrays with the unit in the name. Records hold no algorithms."""
+
+from .calibration_map import (
+    DEFECT_FLAGS,
+    IMAGE_LAYERS,
+    LAYERS,
+    SCALAR_LAYERS,
+    UNUSABLE,
+    CalibrationMap,
+    Camera,
+    Conditions,
+)
+from .frame import CorrectedFrame, Frame, FrameStack
+from .intrinsics import DISTORTION_NAMES, Intrinsics
+from .measurement import Limit, Measurement, Provenance, Quantity, Verdict
+from .psf import PsfMap
+from .sky import SPOT_FLAGS, STATUSES, Attitude, Identification, Observer, Spots, StarTable
+
+__all__ = [
+    "DEFECT_FLAGS", "DISTORTION_NAMES", "IMAGE_LAYERS", "LAYERS", "SCALAR_LAYERS", "SPOT_FLAGS", "STATUSES", "UNUSABLE",
+    "Attitude", "CalibrationMap", "Camera", "Conditions", "CorrectedFrame", "Frame", "FrameStack", "Identification",
+    "Intrinsics", "Limit", "Measurement", "Observer", "Provenance", "PsfMap", "Quantity", "Spots", "StarTable", "Verdict",
+]

@@ -1,0 +1,98 @@
+"""Frame: one image with what is known about how it was taken. FrameStack: one pass over many. CorrectedFrame: after the map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import BadInput
+from .arrays import frozen, settle
+
+KINDS = ("dark", "flat", "light", "unknown")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """One image. `light` stands for boards, spots and sky alike.
+
+    data: (H, W), unsigned integers or float32, DN, right-aligned (left-aligned data are shifted by the reader).
+    bit_depth: significant bits of the converter; saturation is `white_level_dn`.
+    gain_setting: the camera's setting, never e-/DN; egain_e_per_dn: e- per DN where a header states it.
+    date_obs: ISO 8601, UTC. lossy: the file went through 8-bit or JPEG. notes: what the reader had to assume.
+    """
+
+    data: np.ndarray
+    kind: str = "unknown"
+    bit_depth: int
+    white_level_dn: float
+    black_level_dn: float | None = None
+    exposure_s: float | None = None
+    gain_setting: float | None = None
+    egain_e_per_dn: float | None = None
+    temperature_c: float | None = None
+    bayer_pattern: str | None = None
+    pixel_size_um: float | None = None
+    date_obs: str | None = None
+    camera: str | None = None
+    lossy: bool = False
+    file: str = ""
+    sha256: str = ""
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise BadInput(f"frame kind '{self.kind}' is none of {', '.join(KINDS)}", file=self.file or None)
+        settle(self, data=frozen(self.data, name="Frame.data", shape=(None, None)))
+
+    @property
+    def image_size_px(self) -> tuple[int, int]:
+        return self.data.shape[1], self.data.shape[0]
+
+    @property
+    def name(self) -> str:
+        """The file's own name, for messages and tables."""
+        return self.file.replace("\\", "/").rsplit("/", 1)[-1] or "(frame without a file)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameStack:
+    """One pass over `count` frames taken alike: exact integer sums, from which mean and temporal variance follow.
+
+    mean_dn, variance_dn2: (H, W) float64; variance with count - 1 (NaN where count is 1).
+    sum_dn, sum_sq_dn2: (H, W) int64, sums of (data - shift_dn) and of its square.
+    """
+
+    mean_dn: np.ndarray
+    variance_dn2: np.ndarray
+    sum_dn: np.ndarray
+    sum_sq_dn2: np.ndarray
+    shift_dn: int
+    count: int
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.mean_dn)
+        settle(self, **{n: frozen(getattr(self, n), name=f"FrameStack.{n}", shape=shape)
+                        for n in ("mean_dn", "variance_dn2", "sum_dn", "sum_sq_dn2")})
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrectedFrame:
+    """A frame after the map: offset and dark removed, response divided out.
+
+    signal_dn: (H, W) float32, DN above dark. variance_dn2: (H, W) float32, 1-sigma squared of one pixel of this frame
+    (read noise, shot noise where the gain is known, map uncertainty). defects: (H, W) bit flags of `calmap` layers
+    plus saturation. gain_dn_per_e: NaN where unknown.
+    """
+
+    signal_dn: np.ndarray
+    variance_dn2: np.ndarray
+    defects: np.ndarray
+    gain_dn_per_e: float
+    file: str = ""
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.signal_dn)
+        settle(self, **{n: frozen(getattr(self, n), name=f"CorrectedFrame.{n}", shape=shape)
+                        for n in ("signal_dn", "variance_dn2", "defects")})
