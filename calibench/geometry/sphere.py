@@ -1,0 +1,66 @@
+"""The sphere: unit vectors, right ascension and declination, pointing and roll, aberration."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def unit_from_radec(ra_rad: np.ndarray, dec_rad: np.ndarray) -> np.ndarray:
+    """Right ascension and declination, rad (...) -> unit vectors (..., 3)."""
+    ra, dec = np.asarray(ra_rad, float), np.asarray(dec_rad, float)
+    return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], -1)
+
+
+def radec_from_unit(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vectors (..., 3) of any length -> (ra in [0, 2 pi), dec), rad."""
+    x, y, z = np.moveaxis(np.asarray(v, float), -1, 0)
+    return np.arctan2(y, x) % (2 * np.pi), np.arctan2(z, np.hypot(x, y))
+
+
+def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angle between vectors (..., 3), rad; exact for small and for large angles."""
+    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(np.asarray(a) * b, axis=-1))
+
+
+def north_and_east(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit tangent vectors towards north and east at one direction (3,); at a pole, east is that of ra = 0."""
+    v = np.asarray(v, float) / np.linalg.norm(v)
+    east = np.cross([0.0, 0.0, 1.0], v)
+    length = np.linalg.norm(east)
+    east = east / length if length > 1e-12 else np.array([0.0, 1.0, 0.0])
+    return np.cross(v, east), east
+
+
+def position_angle(at: np.ndarray, towards: np.ndarray) -> float:
+    """Position angle, rad in (-pi, pi], east of north, of the direction `towards` (3,) seen from `at` (3,)."""
+    north, east = north_and_east(at)
+    return float(np.arctan2(np.dot(towards, east), np.dot(towards, north)))
+
+
+def camera_pointing_at(ra_rad: float, dec_rad: float, roll_rad: float) -> np.ndarray:
+    """R_cam_icrs (3, 3) of a camera whose boresight z looks at (ra, dec).
+
+    roll_rad: position angle, east of north, of image up (-y) at the boresight. Seen from inside the sphere with north up,
+    east is to the left, so with roll 0 the x axis (right) points west.
+    """
+    z = unit_from_radec(ra_rad, dec_rad)
+    north, east = north_and_east(z)
+    up = np.cos(roll_rad) * north + np.sin(roll_rad) * east
+    return np.stack([np.cross(-up, z), -up, z])
+
+
+def aberrate(v: np.ndarray, velocity_c: np.ndarray) -> np.ndarray:
+    """Directions (..., 3) as seen by an observer moving at velocity_c (3,), in units of c.
+
+    The exact special-relativistic form (Explanatory Supplement, 3rd ed., eq. 7.40): up to 20.5 arcsec for the Earth.
+    """
+    v, beta = np.asarray(v, float), np.asarray(velocity_c, float)
+    inverse_gamma = np.sqrt(1 - beta @ beta)
+    dot = (v @ beta)[..., None]
+    seen = (inverse_gamma * v + beta + dot * beta / (1 + inverse_gamma)) / (1 + dot)
+    return seen / np.linalg.norm(seen, axis=-1, keepdims=True)
+
+
+def remove_aberration(v: np.ndarray, velocity_c: np.ndarray) -> np.ndarray:
+    """The inverse of `aberrate`: the same boost with the opposite velocity."""
+    return aberrate(v, -np.asarray(velocity_c, float))

@@ -1,0 +1,72 @@
+import cv2
+import numpy as np
+import pytest
+
+from calibench.errors import BadInput
+from calibench.geometry import projection
+from calibench.records import DISTORTION_NAMES, Intrinsics
+
+TERMS = [-0.3686, 0.3148, -0.0023, 0.0003, -0.05, 0.01, 0.02, -0.01]
+
+
+def lens(model: str, mirrored: bool = False) -> Intrinsics:
+    n = len(DISTORTION_NAMES[model])
+    return Intrinsics(model=model, fx_px=1416.7, fy_px=1420.1, cx_px=370.2, cy_px=244.9, distortion=TERMS[:n],
+                      image_size_px=(752, 480), covariance=np.eye(4 + n), mirrored=mirrored)
+
+
+def directions(n: int = 200) -> np.ndarray:
+    rng = np.random.default_rng(1)
+    return np.stack([rng.uniform(-0.27, 0.27, n), rng.uniform(-0.17, 0.17, n), np.ones(n)], -1) * rng.uniform(0.5, 3, (n, 1))
+
+
+@pytest.mark.parametrize("model", DISTORTION_NAMES)
+def test_projection_is_opencvs(model):
+    i, v = lens(model), directions()
+    theirs = cv2.projectPoints(v, np.zeros(3), np.zeros(3), i.camera_matrix, i.distortion)[0][:, 0]
+    np.testing.assert_allclose(projection.project(i, v), theirs, atol=1e-9)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("model", DISTORTION_NAMES)
+def test_unprojection_inverts(model, mirrored):
+    i, v = lens(model, mirrored), directions()
+    unit = v / np.linalg.norm(v, axis=1, keepdims=True)
+    np.testing.assert_allclose(projection.unproject(i, projection.project(i, v)), unit, atol=1e-12)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("model", DISTORTION_NAMES)
+def test_jacobians_are_the_differences(model, mirrored):
+    i, v = lens(model, mirrored), directions(20)
+    xy, by_v, by_p = projection.project_with_jacobian(i, v)
+    h = 1e-6
+    for axis in range(3):
+        step = np.eye(3)[axis] * h
+        numeric = (projection.project(i, v + step) - projection.project(i, v - step)) / (2 * h)
+        np.testing.assert_allclose(by_v[:, :, axis], numeric, rtol=1e-5, atol=1e-4)
+    for p, _ in enumerate(i.parameter_names):
+        def moved(sign, p=p):
+            values = i.parameters.copy()
+            values[p] += sign * h
+            return Intrinsics(model=model, fx_px=values[0], fy_px=values[1], cx_px=values[2], cy_px=values[3],
+                              distortion=values[4:], image_size_px=(752, 480), covariance=i.covariance, mirrored=mirrored)
+        numeric = (projection.project(moved(1), v) - projection.project(moved(-1), v)) / (2 * h)
+        np.testing.assert_allclose(by_p[:, :, p], numeric, rtol=1e-5, atol=1e-5)
+    unit, by_xy = projection.unproject_with_jacobian(i, xy)
+    for axis in range(2):
+        step = np.eye(2)[axis] * 1e-3
+        numeric = (projection.unproject(i, xy + step) - projection.unproject(i, xy - step)) / 2e-3
+        np.testing.assert_allclose(by_xy[:, :, axis], numeric, rtol=1e-5, atol=1e-10)
+
+
+def test_nothing_is_visible_behind_or_beyond_the_fold():
+    i = lens("brown4")
+    assert 0.5 < projection.fold_radius(i) < 2 or projection.fold_radius(i) == np.inf
+    strong = Intrinsics(model="brown4", fx_px=500, fy_px=500, cx_px=320, cy_px=240, distortion=[-0.4, 0, 0, 0],
+                        image_size_px=(640, 480), covariance=np.eye(8))
+    assert projection.fold_radius(strong) == pytest.approx(np.sqrt(1 / 1.2))
+    out = projection.project(strong, np.array([[0, 0, -1.0], [1.0, 0, 1], [0.5, 0, 1]]))
+    assert np.isnan(out[:2]).all() and np.isfinite(out[2]).all()
+    with pytest.raises(BadInput, match="folds"):
+        projection.unproject(strong, np.array([[320 + 500 * 0.7, 240.0]]))
