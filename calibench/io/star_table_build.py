@@ -57,7 +57,8 @@ def meet_bsc(stars: dict[str, np.ndarray], bsc: Path) -> tuple[np.ndarray, np.nd
         separation[np.abs(stars["hp_mag"] - float(entry["v_mag"])) > MATCH_MAG] = np.inf
         i = int(np.argmin(separation))
         if separation[i] < min(MATCH_ARCSEC, distance[i]):
-            hr[i], v[i], kind[i], distance[i] = int(entry["hr"]), float(entry["v_mag"]), entry["spectral_type_2char"], separation[i]
+            hr[i], v[i], kind[i] = int(entry["hr"]), float(entry["v_mag"]), entry["spectral_type_2char"]
+            distance[i] = separation[i]
     matched = np.isfinite(distance)
     print(f"{matched.sum()} of {n} stars met the Bright Star Catalogue, median {np.median(distance[matched]):.1f} arcsec")
     return hr, v, kind
@@ -78,7 +79,8 @@ def main(arguments: list[str]) -> None:
     known = np.isfinite(v) & (np.abs(stars["hp_mag"] - v) < 0.5)
     fit = np.polynomial.Polynomial.fit(stars["b_v"][known], (stars["hp_mag"] - v)[known], 4)
     v = np.where(np.isfinite(v), v, stars["hp_mag"] - fit(np.clip(stars["b_v"], *fit.domain)))
-    small = {name: stars[name].astype(np.float32) for name in ("parallax_mas", "pm_ra_mas_yr", "pm_dec_mas_yr", "hp_mag", "b_v")}
+    single = ("parallax_mas", "pm_ra_mas_yr", "pm_dec_mas_yr", "hp_mag", "b_v")
+    small = {name: stars[name].astype(np.float32) for name in single}
     table = StarTable(epoch_jyear=1991.25, hip=stars["hip"].astype(np.int32), hr=hr, ra_rad=stars["ra_rad"],
                       dec_rad=stars["dec_rad"], v_mag=v.astype(np.float32), spectral_type=kind,
                       source="Hipparcos (van Leeuwen 2007, CDS I/311) and Bright Star Catalogue 5 (Hoffleit and Warren 1991)",

@@ -22,8 +22,8 @@ LARGEST_STEP_PX = 0.7
 
 @dataclass(frozen=True, kw_only=True)
 class GaussianFit:
-    """Fitted spots: xy_px (N, 2), flux_dn, background_dn (N,), moments_px2 (N, 3) of s_xx s_yy s_xy, covariance (N, P, P) in the
-    order x, y, flux, background(, s_xx, s_yy, s_xy), chi2_per_dof (N,), converged (N,) bool."""
+    """Fitted spots: xy_px (N, 2), flux_dn, background_dn (N,), moments_px2 (N, 3) of s_xx s_yy s_xy, chi2_per_dof (N,),
+    converged (N,) bool, covariance (N, P, P) in the order x, y, flux, background(, s_xx, s_yy, s_xy)."""
 
     xy_px: np.ndarray
     flux_dn: np.ndarray

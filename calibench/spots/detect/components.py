@@ -37,7 +37,7 @@ def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, k_
     flux = np.bincount(owner, light, count)
     cx, cy = np.bincount(owner, light * x, count) / flux, np.bincount(owner, light * y, count) / flux
     dx, dy = x - cx[owner], y - cy[owner]
-    sxx, syy, sxy = (np.bincount(owner, light * v, count) / flux + e for v, e in ((dx * dx, 1 / 12), (dy * dy, 1 / 12), (dx * dy, 0)))
+    sxx, syy, sxy = (np.bincount(owner, light * v, count) / flux for v in (dx * dx + 1 / 12, dy * dy + 1 / 12, dx * dy))
     half, root = (sxx + syy) / 2, np.sqrt(((sxx - syy) / 2) ** 2 + sxy**2)
     elongation = np.sqrt((half + root) / np.maximum(half - root, 1e-3))
     order = np.lexsort((smooth[y, x], owner))  # the last of each owner is its brightest pixel in the smoothed frame

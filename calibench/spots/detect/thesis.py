@@ -37,6 +37,7 @@ def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, k_
     keep = (lit > 0).sum(0) >= FEWEST_PIXELS
     y, x, lit = y[keep], x[keep], lit[:, keep]
     flux = lit.sum(0)
-    xy = np.stack([x + np.array([dx for _, dx in offsets]) @ lit / flux, y + np.array([dy for dy, _ in offsets]) @ lit / flux], -1)
+    dy, dx = np.array(offsets, float).T
+    xy = np.stack([x + dx @ lit / flux, y + dy @ lit / flux], -1)
     return Candidates(xy_px=xy, peak_xy=np.stack([x, y], -1), peak_dn=image[y, x], flux_dn=flux, pixels=(lit > 0).sum(0),
                       elongation=np.ones(len(x)))
