@@ -1,0 +1,151 @@
+"""Frames from disk: find the files, read each once, and settle what is known about it.
+
+1. The bytes are read once: they are hashed and decoded from memory.
+2. The reader of the file's suffix checks what the header claims, then decodes (`readers/`).
+3. Header, sidecar and protocol are merged; a contradiction is an error.
+4. Left-aligned data are shifted right; bit depth and white level are settled.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from .. import registry
+from ..errors import BadInput
+from ..records import Frame
+from .alignment import right_aligned
+from .metadata import FrameMetadata, merge
+from .readers._reading import MAX_PIXELS
+from .series_checks import check_series
+from .sidecar import sidecar_of
+
+READERS = "calibench.io.readers"
+MAX_FILE_BYTES = 8 * MAX_PIXELS
+READING_THREADS = 2
+
+
+@cache
+def reader_of_suffix() -> dict[str, str]:
+    """File suffix (lower case, with the dot) -> name of the reader that claims it."""
+    return {suffix: name for name in registry.names(READERS) for suffix in registry.load(READERS, name).SUFFIXES}
+
+
+def find_frames(arguments: Sequence[Path]) -> tuple[Path, ...]:
+    """The frame files meant by files and folders: sorted, each once.
+
+    Of a folder (not its subfolders) the files that a reader claims are taken and the others ignored; a file named
+    outright must be one that a reader claims.
+
+    Raises:
+        BadInput: nothing named, a path that does not exist, a folder without frames, a file that no reader claims.
+    """
+    if not arguments:
+        raise BadInput("no frames were named", mend="name frame files, or a folder of them")
+    found: dict[Path, Path] = {}
+    for path in map(Path, arguments):
+        if path.is_dir():
+            files = [file for file in path.iterdir() if _claimed(file) and file.is_file()]
+            if not files:
+                raise BadInput("no frame is in this folder", file=path, mend=f"files read are: {_known_suffixes()}")
+        elif not path.exists():
+            raise BadInput("does not exist", file=path, mend="check the path (a pattern with * that matched nothing?)")
+        elif not _claimed(path):
+            raise BadInput("no reader knows this kind of file", file=path, mend=f"files read are: {_known_suffixes()}")
+        else:
+            files = [path]
+        found |= {file.resolve(): file for file in files if file.resolve() not in found}
+    return tuple(sorted(found.values()))
+
+
+def read_frame(path: Path, kind: str | None = None, *, protocol: FrameMetadata | None = None) -> Frame:
+    """One frame with everything that its file, its sidecar and the protocol say.
+
+    kind: what the command supposes where no source says it. protocol: what the session's protocol states; it may
+    fill gaps and must not contradict.
+
+    Raises:
+        BadInput: the file is missing, empty, truncated or not readable, claims more than it holds, or its sources
+            contradict each other.
+    """
+    path = Path(path)
+    raw = _bytes_of(path)
+    sidecar = sidecar_of(path)
+    reading = registry.load(READERS, _reader_name(path)).read(raw, path, sidecar)
+    if reading.data.size == 0:
+        raise BadInput("holds no pixels", file=path)
+    known = merge([("the file's header", reading.header), (sidecar.source, sidecar.metadata),
+                   ("the protocol", protocol or FrameMetadata())], file=path)
+    data, depth, notes, lossy = reading.data, known.bit_depth, reading.notes, reading.lossy
+    if data.dtype == np.uint16:
+        data, depth, said = right_aligned(data, bit_depth=depth, alignment=known.alignment, file=path)
+        notes = (*notes, said) if said else notes
+    elif data.dtype == np.uint8 and depth is None:
+        depth, lossy, notes = 8, True, (*notes, "8-bit file: steps of a finer converter may be lost")
+    elif depth is None:
+        depth, notes = 16, (*notes, "float data: a white level of 16 bits is assumed unless bit_depth is stated")
+    values = dataclasses.asdict(known) | {"kind": known.kind or kind or "unknown", "bit_depth": depth}
+    del values["alignment"]
+    if known.white_level_dn is None:
+        values["white_level_dn"] = float(2**depth - 1)
+    return Frame(data=data, lossy=lossy, notes=notes, file=str(path), sha256=hashlib.sha256(raw).hexdigest(), **values)
+
+
+def read_series(paths: Sequence[Path], kind: str | None = None, *, protocol: FrameMetadata | None = None) -> list[Frame]:
+    """All frames of one series, in order, checked alike (see `series_checks.check_series`).
+
+    Raises:
+        BadInput: a frame cannot be read (all such frames are named), sizes, depths, gains or patterns are mixed, or the
+            levels show automatic exposure or gain at work.
+    """
+    def attempt(path: Path) -> Frame | BadInput:
+        try:
+            return read_frame(path, kind, protocol=protocol)
+        except BadInput as error:
+            return error
+
+    with ThreadPoolExecutor(READING_THREADS) as pool:  # hashing and decoding release the interpreter's lock
+        outcomes = list(pool.map(attempt, paths))
+    errors = [outcome for outcome in outcomes if isinstance(outcome, BadInput)]
+    if len(errors) == 1:
+        raise errors[0]
+    if errors:
+        lines = "".join(f"\n  {error}" for error in errors)
+        raise BadInput(f"{len(errors)} of {len(outcomes)} frames cannot be used:{lines}")
+    return check_series(outcomes)
+
+
+def _claimed(path: Path) -> bool:
+    return path.suffix.lower() in reader_of_suffix() and not path.name.startswith(".")
+
+
+def _known_suffixes() -> str:
+    return " ".join(sorted(reader_of_suffix()))
+
+
+def _reader_name(path: Path) -> str:
+    name = reader_of_suffix().get(path.suffix.lower())
+    if name is None:
+        raise BadInput("no reader knows this kind of file", file=path, mend=f"files read are: {_known_suffixes()}")
+    return name
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise BadInput(f"{size} bytes are more than any frame of {MAX_PIXELS // 10**6} megapixels needs", file=path,
+                           mend="leave it out")
+        raw = path.read_bytes()
+    except OSError as error:
+        raise BadInput(f"cannot be opened: {error.strerror or error}", file=path,
+                       mend="check the path and the rights") from error
+    if not raw:
+        raise BadInput("is empty (0 bytes)", file=path, mend="copy it again from the camera, or leave it out")
+    return raw

@@ -1,0 +1,64 @@
+"""TIFF (revision 6.0, BigTIFF too), read by tifffile. One image a file; compressed ones may need imagecodecs."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import math
+from pathlib import Path
+
+from ...errors import BadInput
+from ..sidecar import Sidecar
+from ._exif import exif_of
+from ._reading import Reading, check_claim, decoding, frame_values, luminance
+
+SUFFIXES = (".tif", ".tiff")
+REDUCED_IMAGE = 1  # bit of NewSubfileType: a preview of another image of the file
+WHITE_IS_ZERO = 0
+
+
+def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
+    """The one full image of the file, colours as their mean; exposure and ISO from its EXIF directory.
+
+    Raises:
+        BadInput: no TIFF, truncated, several images, an inverted scale, or a compression that needs imagecodecs.
+    """
+    import tifffile
+
+    with decoding(file, "TIFF"), tifffile.TiffFile(io.BytesIO(raw)) as tiff:
+        pages = [page for page in tiff.pages if not int(page.subfiletype or 0) & REDUCED_IMAGE]
+        if len(pages) != 1:
+            raise BadInput(f"holds {len(pages)} images; a frame is one", file=file,
+                           mend="save each image as a file of its own")
+        page = pages[0]
+        _check(page, raw, file)
+        try:
+            picture = page.asarray()
+        except ValueError as error:
+            if "imagecodecs" not in str(error):
+                raise
+            raise BadInput(f"its compression ({page.compression.name}) needs the package imagecodecs", file=file,
+                           mend="pip install imagecodecs, or save the frame uncompressed") from error
+        bits = page.bitspersample
+    data, notes = luminance(picture, file=file)
+    header, exif_notes = exif_of(raw)
+    if isinstance(bits, int) and bits not in (8, 16, 32, 64):
+        header = dataclasses.replace(header, bit_depth=bits)
+    return Reading(data=frame_values(data, file=file), header=header, notes=(*notes, *exif_notes))
+
+
+def _check(page: object, raw: bytes, file: Path) -> None:
+    if page.photometric == WHITE_IS_ZERO:
+        raise BadInput("is stored inverted (white is zero)", file=file, mend="save it with black as zero")
+    if page.dtype is None:
+        raise BadInput(f"stores {page.bitspersample} bits a sample, which has no number type", file=file)
+    segments = zip(page.dataoffsets, page.databytecounts, strict=False)
+    held = sum(max(0, min(count, len(raw) - offset)) for offset, count in segments)
+    compressed = page.compression != 1
+    claimed = math.prod(page.shape) * page.bitspersample // 8 if isinstance(page.bitspersample, int) else page.nbytes
+    check_claim(page.imagewidth, page.imagelength, file=file, claimed_bytes=claimed, available_bytes=held,
+                compressed=compressed)
+    missing = sum(page.databytecounts) - held
+    if missing > 0:
+        raise BadInput(f"{missing} bytes of its image data are missing", file=file,
+                       mend="the file is truncated or damaged: copy it again from the camera, or leave it out")
