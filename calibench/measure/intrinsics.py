@@ -1,0 +1,264 @@
+"""Intrinsics from checkerboard views: corners, bundle adjustment with board bow, outlier rejection, believable error bars.
+
+1. Find the board in each view; refine the corners two ways; keep the refiner that leaves the smaller residual.
+2. Choose the model by held-out error (solve on half of the views, only poses on the others); k3 has to lower it.
+3. Adjust lens, bow and poses; drop corners beyond `outlier_sigma` robust sigma, and views that do not fit; again.
+4. Ask whether the views determine the focal length at all.
+5. Covariance: classical, and clustered by view (the recommended one: corners of a view do not err independently).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import BadInput
+from ..records import CalibrationMap, Frame, Intrinsics, Measurement, Quantity
+from . import _adjust as bundle
+from . import _corners as corner
+from ._ledger import Ledger
+
+PROBED_VIEWS = 4
+MIN_VIEWS = 3
+MIN_VIEWS_FOR_BOW = 5
+MIN_VIEWS_FOR_HALVES = 6
+MIN_TILT_SPREAD_RAD = np.radians(5)
+MAX_RELATIVE_FOCAL_SD = 0.05
+CANDIDATE_MODELS = ("brown4", "brown5")
+WORTH_A_TERM = 0.99  # a further term has to lower the held-out rms by 1 %: less is chance, and it bends the corners
+COVERAGE_CELLS = (8, 6)
+TILT_ADVICE = "tilt the board by 20 to 45 degrees about both axes, differently in each view"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """board: inner corners (columns, rows). model None: chosen by held-out error among brown4 and brown5.
+
+    window: half width of the corner refinement as a fraction of the local corner spacing. outlier_sigma: corners farther off
+    than this many robust sigma are dropped, at most the share `max_outliers` of them. worst_view: a view is dropped whose
+    median residual exceeds the median view's by this factor.
+    """
+
+    board: tuple[int, int] = (9, 6)
+    square_mm: float = 25.0
+    model: str | None = None
+    window: float = 0.25
+    outlier_sigma: float = 4.0
+    max_outliers: float = 0.03
+    worst_view: float = 4.0
+
+
+def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: CalibrationMap | None = None) -> Measurement:
+    """Intrinsics with full covariance from views of one flat checkerboard.
+
+    Args:
+        frames: views, any order. calmap: not needed here (corners are taken from raw pixels).
+
+    Raises:
+        BadInput: fewer than three views show the board, the board has another size, the views do not determine the lens.
+    """
+    settings = settings or Settings()
+    _check(settings)
+    ledger = Ledger(settings, "board views")
+    names, refined = _find_corners(frames, settings, ledger)
+    points_mm = bundle.board_points_mm(settings.board, settings.square_mm)
+    size = ledger.first.image_size_px
+
+    refiner, rows = _choose_refiner(refined, points_mm, size, settings)
+    for i in sorted(set(range(len(names))) - set(rows)):
+        ledger.rejected.append((names[i], f"the {refiner} refiner does not see the board"))
+    names, corners = [names[i] for i in rows], np.array([refined[i][refiner] for i in rows])
+
+    model, held_out = _choose_model(corners, points_mm, size, settings)
+    solution, inlier, kept = _robust(corners, points_mm, size, model, settings)
+    for i in np.flatnonzero(~kept):
+        ledger.rejected.append((names[i], f"residual more than {settings.worst_view:g} times the median view's: "
+                                          "blurred, or another board"))
+    names, corners = [n for n, k in zip(names, kept, strict=True) if k], corners[kept]
+    warnings = list(ledger.warnings)
+    intrinsics, classical = _with_covariance(solution, inlier, warnings)
+    _check_observable(solution, classical)
+    if settings.model and held_out.get(model, 0) > min(held_out.values(), default=0):
+        warnings.append(f"{model} was asked for, but raises the held-out error: " +
+                        ", ".join(f"{m} {e:.4f} px" for m, e in held_out.items()))
+
+    distance = np.linalg.norm(solution.residual_px, axis=-1)
+    provenance = ledger.provenance()
+    return Measurement(
+        name="intrinsics", image_size_px=size, intrinsics=intrinsics,
+        quantities=_quantities(solution, intrinsics, inlier, distance, held_out.get(model), len(ledger.inputs)),
+        evidence={
+            "corners_xy_px": corners.reshape(-1, 2), "corners_view": np.repeat(np.arange(len(corners)), len(points_mm)),
+            "corners_board_mm": np.tile(points_mm, (len(corners), 1)), "residual_px": solution.residual_px.reshape(-1, 2),
+            "inlier": inlier.ravel(), "poses": bundle.poses_of(solution), "uncertainty_classical": np.sqrt(np.diag(classical)),
+            "view_rms_px": np.sqrt(np.mean(distance**2, axis=1)), "coverage_count": _coverage(corners, size),
+            "held_out_rms_by_model_px": np.array([held_out.get(m, np.nan) for m in CANDIDATE_MODELS])},
+        provenance=dataclasses.replace(provenance, settings={
+            **provenance.settings, "model": model, "refiner": refiner, "views": tuple(names)}),
+        warnings=tuple(warnings), frames_used=len(corners), frames_rejected=tuple(ledger.rejected))
+
+
+def _check(settings: Settings) -> None:
+    if min(settings.board) < 3:
+        raise BadInput(f"a board of {settings.board[0]}x{settings.board[1]} inner corners is too small",
+                       mend="use at least 3x3")
+    if not settings.square_mm > 0:
+        raise BadInput(f"square size {settings.square_mm} mm is not positive")
+
+
+def _find_corners(frames: Iterable[Frame], settings: Settings, ledger: Ledger) -> tuple[list[str], list[dict]]:
+    """File names and refined corners {refiner: (P, 2)} of the views that show the board."""
+    names, refined = [], []
+    found, missed = [], []  # a few images each, to ask about another board size
+    for frame in frames:
+        if not ledger.take(frame):
+            continue
+        grey = corner.grey_image(frame)
+        rough = corner.find_board(grey, settings.board)
+        kept = missed if rough is None else found
+        kept += [grey] if len(kept) < PROBED_VIEWS else []
+        if rough is None:
+            ledger.reject(frame, f"no board of {settings.board[0]}x{settings.board[1]} inner corners is seen")
+            continue
+        names.append(frame.file or frame.name)
+        each = {r: corner.refine(grey, rough, settings.board, r, settings.window) for r in corner.REFINERS}
+        refined.append({r: c for r, c in each.items() if c is not None})
+    ledger.first  # noqa: B018  raises where there was no frame at all
+    corner.check_board_size(found, missed, settings.board)
+    if len(names) < MIN_VIEWS:
+        raise BadInput(f"{len(names)} of {len(names) + len(ledger.rejected)} frames can be used as views of a "
+                       f"{settings.board[0]}x{settings.board[1]} board, {MIN_VIEWS} are the least"
+                       + "".join(f"\n  {file}: {why}" for file, why in ledger.rejected),
+                       mend="take ten or more sharp views of the whole board, " + TILT_ADVICE)
+    return names, refined
+
+
+def _choose_refiner(refined: list[dict], points_mm: np.ndarray, size: tuple[int, int], settings: Settings) -> tuple[str, list]:
+    """The refiner with the smaller median residual and the rows of the views it serves (it must serve most)."""
+    scores = {}
+    for refiner in corner.REFINERS:
+        rows = [i for i, each in enumerate(refined) if refiner in each]
+        if len(rows) < max(MIN_VIEWS, 0.8 * len(refined)):
+            continue
+        solution, inlier, _ = _robust(np.array([refined[i][refiner] for i in rows]), points_mm, size, "brown4", settings)
+        scores[refiner] = (float(np.median(np.linalg.norm(solution.residual_px, axis=-1)[inlier])), rows)
+    best = min(scores, key=lambda r: scores[r][0])
+    return best, scores[best][1]
+
+
+def _choose_model(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, int], settings: Settings) -> tuple[str, dict]:
+    """Model name and {model: held-out rms in px}; the first candidate where there are too few views to ask."""
+    if len(corners) < MIN_VIEWS_FOR_HALVES:
+        return settings.model or CANDIDATE_MODELS[0], {}
+    models = dict.fromkeys((*CANDIDATE_MODELS, settings.model or CANDIDATE_MODELS[0]))
+    held_out = {m: _held_out_rms_px(corners, points_mm, size, m, settings) for m in models}
+    few, more = CANDIDATE_MODELS
+    return settings.model or (more if held_out[more] < WORTH_A_TERM * held_out[few] else few), held_out
+
+
+def _held_out_rms_px(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, int], model: str,
+                     settings: Settings) -> float:
+    """Lens and bow from the even views, only poses on the odd ones, and the other way round; rms over the inliers."""
+    squares = []
+    for first in (0, 1):
+        lens, _, _ = _robust(corners[first::2], points_mm, size, model, settings)
+        unseen = corners[1 - first::2]
+        inlier = np.ones(unseen.shape[:2], bool)
+        for _ in range(2):
+            guess = bundle.with_poses(lens.intrinsics, unseen, points_mm, bow_mm=lens.bow_mm)
+            posed = bundle.adjust(guess, unseen, points_mm, inlier, with_bow=False, lens_fixed=True)
+            inlier = _inliers(posed.residual_px, inlier, settings)
+        squares.append(np.sum(posed.residual_px**2, axis=-1)[inlier])
+    return float(np.sqrt(np.concatenate(squares).mean()))
+
+
+def _robust(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, int], model: str,
+            settings: Settings) -> tuple[bundle.Solution, np.ndarray, np.ndarray]:
+    """Solution, inlier corners (of the kept views) and kept views (V,), repeated until no corner changes sides."""
+    kept = np.ones(len(corners), bool)
+    with_bow = len(corners) >= MIN_VIEWS_FOR_BOW
+    solution = bundle.start(corners, points_mm, size, model)
+    inlier = np.ones(corners.shape[:2], bool)
+    for _ in range(8 + len(corners)):
+        solution = bundle.adjust(solution, corners[kept], points_mm, inlier, with_bow=with_bow)
+        typical = np.median(np.linalg.norm(solution.residual_px, axis=-1), axis=1)  # one wild corner is no wild view
+        worst = int(np.argmax(typical))
+        if len(typical) > MIN_VIEWS and typical[worst] > settings.worst_view * np.median(typical):
+            kept[np.flatnonzero(kept)[worst]] = False
+            solution = bundle.start(corners[kept], points_mm, size, model)
+            inlier = np.ones(corners[kept].shape[:2], bool)
+            continue
+        now = _inliers(solution.residual_px, inlier, settings)
+        if (now == inlier).all():
+            break
+        inlier = now
+    return solution, inlier, kept
+
+
+def _inliers(residual_px: np.ndarray, inlier: np.ndarray, settings: Settings) -> np.ndarray:
+    """Corners within outlier_sigma (sigma of one coordinate, robust), and always the best 1 - max_outliers of them."""
+    distance = np.linalg.norm(residual_px, axis=-1)
+    sigma = 1.4826 * np.median(np.abs(residual_px[inlier]))
+    return distance <= max(settings.outlier_sigma * sigma, np.quantile(distance, 1 - settings.max_outliers))
+
+
+def _with_covariance(solution: bundle.Solution, inlier: np.ndarray, warnings: list[str]) -> tuple[Intrinsics, np.ndarray]:
+    """Intrinsics with the recommended covariance, and the classical one, both over lens and bow (lens first)."""
+    classical, clustered = bundle.covariances(solution, inlier)
+    views, shared = solution.score.shape
+    if views <= shared:  # the sandwich has rank < views: keep the classical shape, with the size that the views show
+        whitened = np.trace(np.linalg.solve(classical, clustered)) / shared
+        clustered = max(1.0, float(whitened)) * classical
+        warnings.append(f"only {views} views for {shared} parameters: uncertainties are themselves uncertain")
+    lens = len(solution.intrinsics.parameter_names)
+    intrinsics = dataclasses.replace(solution.intrinsics, covariance=clustered[:lens, :lens])
+    return intrinsics, classical
+
+
+def _check_observable(solution: bundle.Solution, classical: np.ndarray) -> None:
+    normal = solution.rotation[:, :, 2]
+    spread = float(np.arccos(np.clip(normal @ normal.T, -1, 1)).max())
+    relative = float(np.sqrt(classical[0, 0]) / solution.intrinsics.fx_px)
+    if spread < MIN_TILT_SPREAD_RAD or relative > MAX_RELATIVE_FOCAL_SD:
+        scale = 1 / np.sqrt(np.diag(classical))
+        condition = np.linalg.cond(classical * np.outer(scale, scale))
+        raise BadInput("the views do not determine the focal length: the board's tilt differs by "
+                       f"{np.degrees(spread):.1f} degrees between the views, fx is known to {100 * relative:.2g} %, "
+                       f"condition number {condition:.2g}",
+                       mend=TILT_ADVICE)
+
+
+def _coverage(corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Number of corners in each of COVERAGE_CELLS (columns, rows) cells of the image, as (rows, columns)."""
+    x, y = corners.reshape(-1, 2).T
+    edges = [np.linspace(-0.5, n - 0.5, cells + 1) for n, cells in zip(size, COVERAGE_CELLS, strict=True)]
+    return np.histogram2d(y, x, bins=edges[::-1])[0].astype(np.int64)
+
+
+def _quantities(solution: bundle.Solution, intrinsics: Intrinsics, inlier: np.ndarray, distance: np.ndarray,
+                held_out_rms_px: float | None, views_given: int) -> tuple[Quantity, ...]:
+    opencv = "OpenCV camera model, integer pixel = pixel centre; uncertainty clustered by view (CR2)"
+    sd = np.sqrt(np.diag(intrinsics.covariance))
+    out = [Quantity(name=name, value=float(value), unit="px" if name.endswith("_px") else "1", symbol=name.removesuffix("_px"),
+                    uncertainty=float(error), source=opencv)
+           for name, value, error in zip(intrinsics.parameter_names, intrinsics.parameters, sd, strict=True)]
+    _, clustered = bundle.covariances(solution, inlier)
+    bow_sd = np.sqrt(np.diag(clustered)[-2:])
+    for axis, value, error in zip("xy", solution.bow_mm, bow_sd, strict=True):
+        out.append(Quantity(name=f"board_bow_{axis}_mm", unit="mm", source="height of the centre over the edges, away from the "
+                            "camera positive", value=float(value) if solution.with_bow else None,
+                            uncertainty=float(error) if solution.with_bow else None,
+                            reason="" if solution.with_bow else f"needs at least {MIN_VIEWS_FOR_BOW} views"))
+    rms = "sqrt(mean(dx^2 + dy^2))"
+    counts = {"views_given": views_given, "views_used": len(inlier), "points": inlier.size, "outliers": int((~inlier).sum())}
+    out += [
+        Quantity(name="rms_px", value=float(np.sqrt(np.mean(distance[inlier]**2))), unit="px", source=f"{rms} over inliers"),
+        Quantity(name="rms_all_px", value=float(np.sqrt(np.mean(distance**2))), unit="px", source=f"{rms} over every corner"),
+        Quantity(name="held_out_rms_px", value=held_out_rms_px, unit="px",
+                 source=f"{rms}; lens from every other view, only poses fitted to the rest",
+                 reason="" if held_out_rms_px else f"needs at least {MIN_VIEWS_FOR_HALVES} views"),
+        *(Quantity(name=name, value=float(value), unit="1", source="count") for name, value in counts.items())]
+    return tuple(out)

@@ -1,0 +1,190 @@
+"""Intrinsics: truth from projected corners, an honest error bar, and what real views and wrong boards give."""
+
+from __future__ import annotations
+
+import functools
+
+import cv2
+import numpy as np
+import pytest
+
+from calibench.errors import BadInput
+from calibench.geometry.projection import project
+from calibench.geometry.rotation import matrix_from_rotvec
+from calibench.measure import _adjust as bundle
+from calibench.measure import intrinsics
+from calibench.records import Frame, Intrinsics
+
+SIZE = (640, 480)
+BOARD, SQUARE_MM = (9, 6), 25.0
+TRUTH = Intrinsics(model="brown4", fx_px=530.0, fy_px=532.0, cx_px=322.0, cy_px=236.0, image_size_px=SIZE,
+                   distortion=[-0.28, 0.08, 1e-3, -5e-4], covariance=np.zeros((8, 8)))
+
+
+def observed(rng, *, views=13, sigma_px=0.1, bow_mm=(0.0, 0.0), tilt_rad=0.5):
+    """Corners (V, P, 2) of boards at random poses, with noise."""
+    points = bundle.board_points_mm(BOARD, SQUARE_MM)
+    shaped = points + np.outer(bundle.bow_shape(points) @ bow_mm, (0, 0, 1))
+    out = []
+    for _ in range(views):
+        turn = matrix_from_rotvec(np.append(rng.uniform(-tilt_rad, tilt_rad, 2), rng.uniform(-0.3, 0.3)))
+        place = np.array([rng.uniform(-60, 60), rng.uniform(-40, 40), rng.uniform(330, 420)])
+        out.append(project(TRUTH, (shaped - points.mean(axis=0)) @ turn.T + place))
+    return points, np.array(out) + rng.normal(0, sigma_px, (views, len(points), 2))
+
+
+@functools.cache
+def rays():
+    """Directions (N, 3) of 2 x 2 samples in each pixel of TRUTH."""
+    x, y = np.meshgrid((np.arange(SIZE[0] * 2) - 0.5) / 2, (np.arange(SIZE[1] * 2) - 0.5) / 2)
+    pixels, terms = np.stack([x.ravel(), y.ravel()], -1), np.append(TRUTH.distortion, 0)
+    plane = cv2.undistortPoints(pixels[:, None], TRUTH.camera_matrix, terms)
+    return np.column_stack([plane[:, 0], np.ones(x.size)])
+
+
+def board_image(rotvec, place_mm, *, squares=(10, 7)):
+    """A rendered view (H, W) uint8 through TRUTH."""
+    turn = matrix_from_rotvec(np.array(rotvec, float))
+    to_plane = np.linalg.inv(np.column_stack([turn[:, 0], turn[:, 1], place_mm]))
+    on_board = rays() @ to_plane.T
+    column, row = (on_board[:, :2] / on_board[:, 2:]).T / SQUARE_MM + np.array(squares)[:, None] / 2
+    inside = (column >= 0) & (column < squares[0]) & (row >= 0) & (row < squares[1])
+    dark = inside & ((np.floor(column) + np.floor(row)) % 2 == 0)
+    light = np.where(dark, 30.0, 220.0).reshape(SIZE[1], 2, SIZE[0], 2).mean(axis=(1, 3))
+    return np.rint(light).astype(np.uint8)
+
+
+def views_of_board(count=8):
+    rng = np.random.default_rng(5)
+    poses = [(np.append(rng.uniform(-0.45, 0.45, 2), rng.uniform(-0.2, 0.2)),
+              (rng.uniform(-30, 30), rng.uniform(-20, 20), rng.uniform(380, 450))) for _ in range(count)]
+    return [frame(board_image(*pose), f"view{i}.png") for i, pose in enumerate(poses)]
+
+
+def frame(data, file=""):
+    return Frame(data=data, kind="light", bit_depth=8, white_level_dn=255, file=file)
+
+
+@pytest.fixture(scope="module")
+def rendered():
+    return views_of_board()
+
+
+def test_adjustment_reaches_the_optimum_of_opencv():
+    points, corners = observed(np.random.default_rng(0))
+    inlier = np.ones(corners.shape[:2], bool)
+    mine = bundle.adjust(bundle.start(corners, points, SIZE, "brown4"), corners, points, inlier, with_bow=False)
+    rms, camera, terms, *_ = cv2.calibrateCamera([points.astype(np.float32)] * 13, [c.astype(np.float32) for c in corners],
+                                                 SIZE, None, None, flags=cv2.CALIB_FIX_K3,
+                                                 criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 300, 1e-12))
+    assert np.sqrt(np.mean(np.sum(mine.residual_px**2, -1))) == pytest.approx(rms, abs=1e-5)
+    assert mine.intrinsics.fx_px == pytest.approx(camera[0, 0], abs=2e-3)
+    np.testing.assert_allclose(mine.intrinsics.distortion, terms.ravel()[:4], atol=1e-4)
+
+
+def test_bow_is_recovered_and_its_neglect_biases_the_focal_length():
+    points, corners = observed(np.random.default_rng(1), views=30, sigma_px=0.02, bow_mm=(0.2, -0.1))
+    inlier = np.ones(corners.shape[:2], bool)
+    guess = bundle.start(corners, points, SIZE, "brown4")
+    bent = bundle.adjust(guess, corners, points, inlier, with_bow=True)
+    flat = bundle.adjust(guess, corners, points, inlier, with_bow=False)
+    np.testing.assert_allclose(bent.bow_mm, (0.2, -0.1), atol=0.01)
+    assert abs(bent.intrinsics.fx_px - 530) < 0.15 < abs(flat.intrinsics.fx_px - 530)
+
+
+def test_both_error_bars_match_the_scatter_of_independent_noise():
+    values, classical, clustered = [], [], []
+    rng = np.random.default_rng(2)
+    points, clean = observed(rng, views=20, sigma_px=0)
+    inlier = np.ones(clean.shape[:2], bool)
+    guess = bundle.adjust(bundle.start(clean, points, SIZE, "brown4"), clean, points, inlier, with_bow=True)
+    for _ in range(150):
+        solution = bundle.adjust(guess, clean + rng.normal(0, 0.2, clean.shape), points, inlier, with_bow=True)
+        values.append(np.append(solution.intrinsics.parameters, solution.bow_mm))
+        each = bundle.covariances(solution, inlier)
+        classical.append(np.diag(each[0]))
+        clustered.append(np.diag(each[1]))
+    scatter = np.std(values, axis=0)
+    np.testing.assert_allclose(np.sqrt(np.mean(classical, axis=0)) / scatter, 1, atol=0.2)
+    np.testing.assert_allclose(np.sqrt(np.mean(clustered, axis=0)) / scatter, 1, atol=0.25)
+
+
+def test_clustered_error_bar_sees_errors_that_a_view_shares():
+    rng = np.random.default_rng(3)
+    points, clean = observed(rng, views=20, sigma_px=0)
+    inlier = np.ones(clean.shape[:2], bool)
+    guess = bundle.adjust(bundle.start(clean, points, SIZE, "brown4"), clean, points, inlier, with_bow=True)
+    common = bundle.bow_shape(points)
+    values, classical, clustered = [], [], []
+    for _ in range(60):  # each view sees its own smooth deformation, as motion blur or a warped print under stress gives
+        smooth = np.einsum("vbi,pb->vpi", rng.normal(0, 0.3, (20, 2, 2)), common)
+        solution = bundle.adjust(guess, clean + smooth + rng.normal(0, 0.05, clean.shape), points, inlier, with_bow=True)
+        each = bundle.covariances(solution, inlier)
+        values.append(solution.intrinsics.fx_px)
+        classical.append(each[0][0, 0])
+        clustered.append(each[1][0, 0])
+    scatter = np.std(values)
+    assert np.sqrt(np.mean(classical)) < 0.6 * scatter
+    assert np.sqrt(np.mean(clustered)) == pytest.approx(scatter, rel=0.3)
+
+
+def test_wild_corners_and_a_wild_view_are_left_out():
+    rng = np.random.default_rng(4)
+    points, corners = observed(rng, views=12)
+    corners[2, 7] += 5
+    corners[5, 40] -= 3
+    corners[9] += rng.normal(0, 6, corners[9].shape)
+    solution, inlier, kept = intrinsics._robust(corners, points, SIZE, "brown4", intrinsics.Settings())
+    assert not kept[9] and kept.sum() == 11
+    assert not inlier[2, 7] and not inlier[5, 40] and inlier.mean() > 0.97
+    assert solution.intrinsics.fx_px == pytest.approx(530, abs=2)
+
+
+def test_rendered_views_give_the_camera_back(rendered):
+    result = intrinsics.measure(rendered, intrinsics.Settings(board=BOARD, square_mm=SQUARE_MM))
+    sd = np.sqrt(np.diag(result.intrinsics.covariance))
+    assert result.intrinsics.model == "brown4"
+    assert abs(result.intrinsics.fx_px - 530) < max(4 * sd[0], 0.5)
+    assert abs(result.intrinsics.cx_px - 322) < max(4 * sd[2], 0.5)
+    assert result.quantity("rms_px").value < 0.1
+    assert result.frames_used == 8 and len(result.evidence["corners_xy_px"]) == 8 * 54
+    assert set(result.provenance.inputs) == {f"view{i}.png" for i in range(8)}
+
+
+@pytest.mark.parametrize("said", [(8, 6), (10, 7), (9, 7)])
+def test_another_board_size_is_named(rendered, said):
+    with pytest.raises(BadInput, match=f"found 9x6, you said {said[0]}x{said[1]}: count inner corners"):
+        intrinsics.measure(rendered[:3], intrinsics.Settings(board=said))
+
+
+def test_duplicates_and_frames_without_a_board_are_rejected_with_a_reason(rendered):
+    empty = frame(np.full((480, 640), 90, np.uint8), "wall.png")
+    again = frame(rendered[0].data, "copy.png")
+    result = intrinsics.measure([*rendered, empty, again])
+    assert result.frames_used == 8
+    reasons = dict(result.frames_rejected)
+    assert "9x6" in reasons["wall.png"] and "view0.png" in reasons["copy.png"]
+
+
+def test_views_without_tilt_do_not_give_a_focal_length():
+    rng = np.random.default_rng(6)
+    flat = [frame(board_image((0, 0, 0), (rng.uniform(-30, 30), rng.uniform(-20, 20), 400)), f"{i}.png") for i in range(5)]
+    with pytest.raises(BadInput, match="focal length"):
+        intrinsics.measure(flat)
+
+
+def test_two_views_are_too_few(rendered):
+    with pytest.raises(BadInput, match="3 are the least"):
+        intrinsics.measure(rendered[:2])
+
+
+def test_real_boards(real):
+    files = sorted((real / "boards" / "opencv").glob("*.jpg"))
+    frames = [Frame(data=cv2.imread(str(f), cv2.IMREAD_GRAYSCALE), bit_depth=8, white_level_dn=255, file=f.name) for f in files]
+    result = intrinsics.measure(frames)
+    assert result.frames_used == 13 and result.intrinsics.model == "brown4"
+    assert result.quantity("rms_px").value <= 0.20
+    assert 532.3 < result.intrinsics.fx_px < 534.5
+    assert -0.19 < result.quantity("board_bow_y_mm").value < -0.15
+    classical = result.evidence["uncertainty_classical"]
+    assert result.quantity("fx_px").uncertainty > 1.3 * classical[0]
