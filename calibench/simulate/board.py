@@ -1,0 +1,150 @@
+"""A checkerboard before the simulated camera: where its corners fall, and its picture through the distorting lens.
+
+Board axes: origin at the first inner corner, x along the columns, y along the rows, z into the board. The camera is
+stopped down for boards, so that the blur is a small round Gaussian without coma: corners mark chief rays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import erf
+
+from ..errors import BadInput
+from ..geometry.projection import project, unproject
+from ..geometry.rotation import matrix_from_rotvec, rotvec_from_matrix
+from .camera import SimulatedCamera
+
+_WHITE, _BLACK, _WALL = 1.0, 0.06, 0.25
+_MARGIN_SQUARES = 1.0
+_DRAWS = 5000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Board:
+    """columns x rows inner corners, squares of square_mm, a white margin of one square around."""
+
+    columns: int
+    rows: int
+    square_mm: float
+
+    @property
+    def corners_mm(self) -> np.ndarray:
+        """(columns * rows, 3) inner corners, row by row."""
+        grid = np.mgrid[: self.rows, : self.columns].reshape(2, -1)[::-1].T
+        return np.column_stack([grid * self.square_mm, np.zeros(len(grid))])
+
+    @property
+    def outline_mm(self) -> np.ndarray:
+        """(4, 3) outer corners of the squares."""
+        right, bottom = self.columns * self.square_mm, self.rows * self.square_mm
+        left = top = -self.square_mm
+        return np.array([[left, top, 0], [right, top, 0], [right, bottom, 0], [left, bottom, 0.0]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardPose:
+    """X_cam = R(rotvec_rad) X_board + translation_mm: OpenCV's rvec and tvec."""
+
+    rotvec_rad: tuple[float, float, float]
+    translation_mm: tuple[float, float, float]
+
+    def to_camera(self, points_mm: np.ndarray) -> np.ndarray:
+        """Board points (N, 3) -> camera axes (N, 3), mm."""
+        return points_mm @ matrix_from_rotvec(np.array(self.rotvec_rad)).T + self.translation_mm
+
+
+def corner_pixels(camera: SimulatedCamera, board: Board, pose: BoardPose) -> np.ndarray:
+    """(columns * rows, 2) true pixels of the inner corners, row by row."""
+    return project(camera.intrinsics, pose.to_camera(board.corners_mm))
+
+
+def random_poses(camera: SimulatedCamera, board: Board, count: int, rng: np.random.Generator) -> list[BoardPose]:
+    """Poses for a calibration: all squares on the image, tilts of 20 to 45 degrees in directions that go round by the golden
+    angle, distances and places at random, the outer parts of the field preferred.
+
+    Raises:
+        BadInput: this board cannot be placed so.
+    """
+    width, height = camera.image_size_px
+    middle_mm = board.corners_mm.mean(axis=0)
+    poses: list[BoardPose] = []
+    for _ in range(_DRAWS):
+        if len(poses) == count:
+            return poses
+        tilt, direction = np.radians(rng.uniform(20, 45)), len(poses) * np.pi * (3 - np.sqrt(5))
+        roll = np.radians(rng.uniform(-25, 25))
+        rotation = (matrix_from_rotvec(tilt * np.array([np.cos(direction), np.sin(direction), 0.0]))
+                    @ matrix_from_rotvec(np.array([0.0, 0.0, roll])))
+        # A board whose width takes this share of the image's, its middle anywhere that leaves it inside.
+        share = rng.uniform(0.55, 0.85)
+        distance_mm = (board.columns + 1) * board.square_mm * camera.intrinsics.fx_px / (share * width)
+        aim_px = np.array([[rng.uniform(0.25, 0.75) * width, rng.uniform(0.25, 0.75) * height]])
+        centre_mm = unproject(camera.intrinsics, aim_px)[0] * distance_mm
+        pose = BoardPose(rotvec_rad=tuple(rotvec_from_matrix(rotation).tolist()),
+                         translation_mm=tuple((centre_mm - rotation @ middle_mm).tolist()))
+        outline_px = project(camera.intrinsics, pose.to_camera(board.outline_mm))
+        if ((outline_px > 3) & (outline_px < np.array([width, height]) - 4)).all():
+            poses.append(pose)
+    raise BadInput(f"a board of {board.columns}x{board.rows} corners does not fit the image in {count} tilted poses",
+                   mend="choose a board whose sides relate more like the image's")
+
+
+def render_board(camera: SimulatedCamera, board: Board, pose: BoardPose, *, white_e: float,
+                 blur_sigma_px: float = 0.7) -> np.ndarray:
+    """Expected electrons (H, W) of the board evenly lit, white_e on its white where the lens is brightest.
+
+    Each pixel's ray is met with the board's plane, and there the pattern is taken as a Gaussian sees it, in closed form:
+    optical blur of blur_sigma_px, and the pixel's square as 1/12 px^2 more variance, which is its integral to 3e-4 of the
+    contrast (the square's fourth cumulant, 1/120 px^4). Against brute force corners move by less than 0.003 px.
+    """
+    rotation = matrix_from_rotvec(np.array(pose.rotvec_rad))
+    # Board coordinates of the ray's points s d: R^T (s d - t); s is where the third of them is zero.
+    origin = -rotation.T @ np.array(pose.translation_mm)
+    ray = camera.rays @ rotation
+    scale = np.where(origin[2] * ray[..., 2] < 0, -origin[2] / ray[..., 2], np.nan)  # NaN: the ray never meets the plane
+    u_mm, v_mm = (scale * ray[..., i] + origin[i] for i in (0, 1))
+    (u_by_y, u_by_x), (v_by_y, v_by_x) = np.gradient(u_mm), np.gradient(v_mm)
+    u_slope, v_slope = np.hypot(u_by_x, u_by_y), np.hypot(v_by_x, v_by_y)
+    skew = (u_by_x * v_by_x + u_by_y * v_by_y) / (u_slope * v_slope)
+    blur_px = np.sqrt(blur_sigma_px**2 + 1 / 12)
+    light = _reflectance(board, u_mm, v_mm, blur_px * u_slope, blur_px * v_slope, skew)
+    return white_e * camera.transmission * np.where(np.isfinite(light), light, _WALL)
+
+
+def _reflectance(board: Board, u_mm: np.ndarray, v_mm: np.ndarray, u_blur_mm: np.ndarray, v_blur_mm: np.ndarray,
+                 skew: np.ndarray) -> np.ndarray:
+    """The blurred pattern at plane points; *_blur_mm: sigma of the image's round blur along u and v, skew: their correlation."""
+    square, margin = board.square_mm, _MARGIN_SQUARES * board.square_mm
+    parity = squares = sheet = 1.0
+    sigmas = []  # distance from the nearest inner line, in sigmas of the blur
+    for x, blur, corners in ((u_mm, u_blur_mm, board.columns), (v_mm, v_blur_mm, board.rows)):
+        line = np.rint(x / square).clip(0, corners - 1)  # the outermost squares end at the outline, not at a line
+        parity = parity * np.where(line % 2 == 0, 1.0, -1.0)
+        sigmas.append((x - line * square) / blur)
+        squares = squares * _inside(x, blur, -square, corners * square)
+        sheet = sheet * _inside(x, blur, -square - margin, corners * square + margin)
+    grey, contrast = (_WHITE + _BLACK) / 2, (_WHITE - _BLACK) / 2
+    checks = parity * _mean_sign_product(*sigmas, skew)
+    return _WALL + sheet * (_WHITE - _WALL) + squares * (grey - contrast * checks - _WHITE)
+
+
+def _mean_sign_product(a: np.ndarray, b: np.ndarray, correlation: np.ndarray) -> np.ndarray:
+    """E[sign(a + x) sign(b + y)] for standard normal x, y of this correlation: a checkerboard's corner under a Gaussian blur.
+
+    Plackett (1954, Biometrika 41, 351): the derivative by the correlation is 4 times the normal density; integrated
+    over its arc sine by 3 Gauss-Legendre nodes from the uncorrelated product of the two edges.
+    """
+    out = erf(a / np.sqrt(2)) * erf(b / np.sqrt(2))
+    end = np.arcsin(correlation)
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    for node, weight in zip(nodes, weights, strict=True):
+        angle = (1 + node) / 2 * end
+        out = out + weight * end / np.pi * np.exp(-(a**2 - 2 * a * b * np.sin(angle) + b**2) / (2 * np.cos(angle) ** 2))
+    return out
+
+
+def _inside(x: np.ndarray, blur: np.ndarray, low: float, high: float) -> np.ndarray:
+    """A blurred 1 between low and high, 0 outside."""
+    return 0.5 * (1 + erf(((high - low) / 2 - np.abs(x - (low + high) / 2)) / (np.sqrt(2) * blur)))

@@ -1,0 +1,104 @@
+"""Point spread function of the simulated lens: sub-pixel, pixel-integrated, astigmatic and comatic off the axis.
+
+Centre convention: a source's true position is its chief ray, the pixel that `geometry.projection.project` gives for its
+direction. Astigmatism and field curvature are symmetric about it and leave the centroid there; coma draws a flare outward
+along the field radius, so that the flux-weighted centroid lies `coma_px * field` outside the chief ray (field = 1 at
+the image corner). Third-order coma being linear in the field, that shift looks like a slightly longer focal length to a
+centroid: coma_px / corner_radius_px of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# The comatic figure as three Gaussians along the field radius: weight, offset and extra sigma in units of the flare's length.
+_FLARE = np.array([[0.70, 0.0, 0.0], [0.22, 1.0, 0.35], [0.08, 2.25, 0.80]])
+_MEAN_OFFSET = float(_FLARE[:, 0] @ _FLARE[:, 1])
+_OFFSET_VARIANCE = float(_FLARE[:, 0] @ _FLARE[:, 1] ** 2) - _MEAN_OFFSET**2
+_EXTRA_VARIANCE = float(_FLARE[:, 0] @ _FLARE[:, 2] ** 2)
+_HALF_WINDOW_PX = 9
+_PIXEL_VARIANCE_PX2 = 1 / 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aberrations:
+    """The lens's PSF over the field, third order: coma grows with the field, astigmatism and field curvature with its square.
+
+    core_sigma_px: Gaussian sigma on the axis, before the pixel integrates. radial_blur_px, tangential_blur_px: sigma that
+    astigmatism and field curvature add in quadrature at the corner. coma_px: outward shift of the centroid at the corner.
+    centre_px: the optical axis; corner_radius_px: its field radius 1.
+    """
+
+    core_sigma_px: float
+    radial_blur_px: float
+    tangential_blur_px: float
+    coma_px: float
+    centre_px: tuple[float, float]
+    corner_radius_px: float
+
+
+def _field(aberrations: Aberrations, xy_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Field radius (N,) and outward unit vector (N, 2); on the axis itself every direction is as good."""
+    offset = (np.asarray(xy_px, float).reshape(-1, 2) - aberrations.centre_px) / aberrations.corner_radius_px
+    field = np.hypot(offset[:, 0], offset[:, 1])
+    outward = np.where(field[:, None] > 0, offset / np.where(field > 0, field, 1.0)[:, None], [1.0, 0.0])
+    return field, outward
+
+
+def centroid_px(aberrations: Aberrations, xy_px: np.ndarray) -> np.ndarray:
+    """Flux-weighted centroid (N, 2) of the PSF of sources whose chief rays are xy_px (N, 2)."""
+    field, outward = _field(aberrations, xy_px)
+    return np.asarray(xy_px, float).reshape(-1, 2) + (aberrations.coma_px * field)[:, None] * outward
+
+
+def moments_px2(aberrations: Aberrations, xy_px: np.ndarray) -> np.ndarray:
+    """Second central moments (N, 3) s_xx, s_yy, s_xy of the pixel-integrated PSF at xy_px (N, 2), px^2."""
+    field, outward = _field(aberrations, xy_px)
+    flare_px = aberrations.coma_px * field / _MEAN_OFFSET
+    common = aberrations.core_sigma_px**2 + flare_px**2 * _EXTRA_VARIANCE
+    radial = common + (aberrations.radial_blur_px * field**2) ** 2 + flare_px**2 * _OFFSET_VARIANCE
+    tangential = common + (aberrations.tangential_blur_px * field**2) ** 2
+    cos, sin = outward.T
+    return np.column_stack([radial * cos**2 + tangential * sin**2 + _PIXEL_VARIANCE_PX2,
+                            radial * sin**2 + tangential * cos**2 + _PIXEL_VARIANCE_PX2,
+                            (radial - tangential) * cos * sin])
+
+
+def render_sources(aberrations: Aberrations, xy_px: np.ndarray, flux_e: np.ndarray,
+                   image_size_px: tuple[int, int]) -> np.ndarray:
+    """Image (H, W) of expected electrons of point sources: chief rays xy_px (N, 2), fluxes flux_e (N,).
+
+    Each pixel integrates the PSF over its square by 4 x 4 Gauss-Legendre nodes (relative error below 1e-5 for sigma
+    0.5 px). What falls off the image is lost; the window of 19 pixels holds all but 1e-6 of a flux.
+    """
+    width, height = image_size_px
+    xy_px = np.asarray(xy_px, float).reshape(-1, 2)
+    field, outward = _field(aberrations, xy_px)
+    cos, sin = (a[:, None, None] for a in outward.T)
+    nearest = np.rint(xy_px).astype(int)
+    window = np.arange(-_HALF_WINDOW_PX, _HALF_WINDOW_PX + 1)
+    columns, rows = nearest[:, 0, None, None] + window, nearest[:, 1, None, None] + window[:, None]
+    dx, dy = columns - xy_px[:, 0, None, None], rows - xy_px[:, 1, None, None]
+
+    radial_var = aberrations.core_sigma_px**2 + (aberrations.radial_blur_px * field**2) ** 2
+    tangential_var = aberrations.core_sigma_px**2 + (aberrations.tangential_blur_px * field**2) ** 2
+    flare_px = aberrations.coma_px * field / _MEAN_OFFSET
+    nodes, node_weights = np.polynomial.legendre.leggauss(4)
+    stamps = np.zeros(np.broadcast_shapes(dx.shape, dy.shape))
+    for weight, offset, extra in _FLARE:
+        vr, vt = ((v + (extra * flare_px) ** 2)[:, None, None] for v in (radial_var, tangential_var))
+        peak = weight / (2 * np.pi * np.sqrt(vr * vt))
+        shift = (offset * flare_px)[:, None, None]
+        for node_x, weight_x in zip(nodes / 2, node_weights / 2, strict=True):
+            for node_y, weight_y in zip(nodes / 2, node_weights / 2, strict=True):
+                r = (dx + node_x) * cos + (dy + node_y) * sin - shift
+                t = (dy + node_y) * cos - (dx + node_x) * sin
+                stamps += weight_x * weight_y * peak * np.exp(-0.5 * (r**2 / vr + t**2 / vt))
+    stamps *= np.asarray(flux_e, float)[:, None, None]
+
+    columns, rows = (np.broadcast_to(a, stamps.shape) for a in (columns, rows))
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    flat = np.bincount(rows[inside] * width + columns[inside], weights=stamps[inside], minlength=width * height)
+    return flat.reshape(height, width)
