@@ -1,0 +1,1 @@
+"""The sky wing: corrected frames become an identification and an attitude."""

@@ -24,8 +24,8 @@ def shape_from_frame(scene: Scene, candidates: Candidates) -> np.ndarray:
     if len(rows) == 0:
         return np.array([1.0, 1.0, 0.0])
     start = np.tile([1.0, 1.0, 0.0], (len(rows), 1))
-    fit = fit_gaussians(scene.signal_dn, scene.floor_variance_dn2, scene.unusable,
-                        candidates.peak_xy[rows].astype(float), start, gain_dn_per_e=scene.gain_dn_per_e, radius=4, free_shape=True, model_error=MODEL_ERROR_GUESSED)
+    fit = fit_gaussians(scene.signal_dn, scene.floor_variance_dn2, scene.unusable, candidates.peak_xy[rows].astype(float),
+                        start, gain_dn_per_e=scene.gain_dn_per_e, radius=4, free_shape=True, model_error=MODEL_ERROR_GUESSED)
     good = fit.moments_px2[fit.converged & (fit.moments_px2[:, :2].min(1) < 9)]
     return np.median(good, axis=0) if len(good) else np.array([1.0, 1.0, 0.0])
 

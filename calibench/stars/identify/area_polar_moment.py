@@ -1,0 +1,107 @@
+"""Planar triangles by area and polar moment (COTS CMOS star imager, after Crassidis): the thesis's identifier, with tolerances.
+
+For a triangle of unit vectors with sides a = |V1 - V2|, b = |V2 - V3|, c = |V3 - V1| and s = (a + b + c)/2:
+
+    A = sqrt(s (s-a) (s-b) (s-c))          J = A (a^2 + b^2 + c^2) / 36
+
+1. The catalogue's triangles: every star with its brightest neighbours within the field.
+2. Triples of the brightest spots, A and J each with a tolerance propagated from the corners' covariance:
+   dA = sum |dA/da| da and so on. (The thesis's fixed tolerance, far below the noise, fails from 0.04 % of a pixel on.)
+3. Those within both tolerances are proposed, the corners put in order by their sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..sky_catalogue import SkyCatalogue
+from ..view import TOLERANCE_SIGMA, View
+
+NEEDS_SCALE = True
+TRIANGLE_SPOTS = 9
+STARS_PER_FIELD = 11
+MOST_PROPOSALS = 200_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriangleTable:
+    """rows (T, 3) star rows; area (T,) ascending; moment (T,)."""
+
+    rows: np.ndarray
+    area: np.ndarray
+    moment: np.ndarray
+
+
+def area_and_moment(sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(..., 3) side lengths -> area and polar moment (...)."""
+    s = sides.sum(-1) / 2
+    area = np.sqrt(np.maximum(s * np.prod(s[..., None] - sides, axis=-1), 0))
+    return area, area * (sides**2).sum(-1) / 36
+
+
+def triangle_sides(corners: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) unit vectors V1 V2 V3 -> (..., 3) lengths |V1-V2|, |V2-V3|, |V3-V1|."""
+    return np.linalg.norm(corners - np.roll(corners, -1, axis=-2), axis=-1)
+
+
+def table_key(view: View) -> float:
+    """Half diagonal of the field, in steps of 10 %."""
+    return float(np.exp(np.ceil(np.log(view.half_diagonal_rad * (1 + view.scale_slack)) * 10) / 10))
+
+
+def build(sky: SkyCatalogue, key: float) -> TriangleTable:
+    """Triangles of each star with pairs of its neighbours no farther than the field's diagonal."""
+    half = min(key, np.pi / 2)
+    field = 2 * np.pi * (1 - np.cos(half)) * 0.6
+    brightest = int(min(len(sky.directions), STARS_PER_FIELD * 4 * np.pi / field))
+    tree = cKDTree(sky.directions[:brightest])
+    rows = []
+    for star, near in enumerate(tree.query_ball_point(sky.directions[:brightest], 2 * np.sin(half), return_sorted=True)):
+        brighter = np.array([r for r in near if r < star])[-2 * STARS_PER_FIELD:]  # each triangle once: star is its faintest
+        if len(brighter) > 1:
+            i, j = np.triu_indices(len(brighter), 1)
+            rows.append(np.stack([brighter[i], brighter[j], np.full(len(i), star)], -1))
+    triangles = np.concatenate(rows)
+    sides = triangle_sides(sky.directions[triangles])
+    keep = sides.max(1) < 2 * np.sin(half)
+    area, moment = area_and_moment(sides[keep])
+    order = np.argsort(area)
+    return TriangleTable(rows=triangles[keep][order], area=area[order], moment=moment[order])
+
+
+def tolerances(sides: np.ndarray, side_error: np.ndarray) -> tuple[float, float]:
+    """Tolerance of A and J for sides (3,) each off by up to side_error (3,): first order, numerically differentiated."""
+    step = 1e-6 * sides.max()
+    base = np.array(area_and_moment(sides))
+    slopes = np.array([np.array(area_and_moment(sides + step * axis)) - base for axis in np.eye(3)]) / step
+    return tuple(np.sqrt(((slopes * side_error[:, None]) ** 2).sum(0)))
+
+
+def propose(view: View, sky: SkyCatalogue, table: TriangleTable) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Correspondences (B, 3) spot rows, (B, 3) star rows."""
+    n = min(TRIANGLE_SPOTS, len(view.directions))
+    for triple in sorted(combinations(range(n), 3), key=sum):
+        corners = np.array(triple)
+        sides = triangle_sides(view.directions[corners])
+        area, moment = area_and_moment(sides)
+        pair_noise = np.hypot(view.sigma_rad[corners], view.sigma_rad[np.roll(corners, -1)])
+        error_a, error_j = tolerances(sides, TOLERANCE_SIGMA * pair_noise + view.ratio_error * sides)
+        error_a, error_j = error_a + 2 * view.scale_slack * area, error_j + 4 * view.scale_slack * moment
+        i, j = np.searchsorted(table.area, [area - error_a, area + error_a])
+        near = np.arange(i, j)[np.abs(table.moment[i:j] - moment) < error_j][:MOST_PROPOSALS]
+        if len(near):
+            stars = table.rows[near]
+            # Order the stars' corners so that their sides ascend as the spots' do (side k joins corner k and k + 1).
+            yield np.broadcast_to(_corner_order(sides[None], corners[None]), stars.shape), _corner_order(
+                triangle_sides(sky.directions[stars]), stars)
+
+
+def _corner_order(sides: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Corners (B, 3) sorted by the length of the side opposite each (side k + 1 is opposite corner k)."""
+    opposite = np.roll(sides, -1, axis=-1)
+    return np.take_along_axis(corners, np.argsort(opposite, axis=-1), axis=-1)

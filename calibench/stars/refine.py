@@ -1,0 +1,85 @@
+"""Joint fit of attitude and, where no map gave one, lens to matched stars: Gauss-Newton in pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..geometry import projection, rotation
+from ..records import Intrinsics
+
+STEPS = 6
+HUBER_SIGMA = 2.5
+K1_FROM, K2_FROM = 8, 16  # matches needed before a distortion term is fitted
+K_PRIOR_SD = 0.5  # keeps terms that a narrow field cannot see near zero
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refined:
+    """rotation (3, 3), intrinsics, covariance (P, P) of (rotation vector in camera axes, lens terms), residual_px (M, 2)."""
+
+    rotation: np.ndarray
+    intrinsics: Intrinsics
+    covariance: np.ndarray
+    residual_px: np.ndarray
+
+
+def _lens_columns(free: int) -> list[list[int]]:
+    """Which columns of d_xy_d_parameters make up each free lens term: common focal length, k1, k2."""
+    return [[0, 1], [4], [5]][:free]
+
+
+def refine(lens: Intrinsics, start: np.ndarray, xy_px: np.ndarray, covariance_px2: np.ndarray, directions: np.ndarray, *,
+           free_lens: bool, model_sd_px: float) -> Refined:
+    """Fit to matched spots (M, 2) with covariance (M, 2, 2) and star directions (M, 3).
+
+    free_lens: fit focal length, then k1 and k2 as the number of matches allows. model_sd_px: what the lens model itself
+    may be off, added to every spot.
+    """
+    m = len(xy_px)
+    free = (1 + (m >= K1_FROM) + (m >= K2_FROM)) if free_lens else 0
+    if free_lens and lens.model == "pinhole":
+        lens = replace(lens, model="brown4", distortion=np.zeros(4), covariance=np.full((8, 8), np.inf))
+    matrix = start
+    weight = np.linalg.inv(covariance_px2 + np.eye(2) * model_sd_px**2)
+    columns = _lens_columns(free)
+    prior = np.zeros(3 + free)
+    prior[4:] = 1 / K_PRIOR_SD**2
+    for _ in range(STEPS):
+        v = directions @ matrix.T
+        xy, by_v, by_p = projection.project_with_jacobian(lens, v)
+        residual = xy_px - xy
+        seen = np.isfinite(residual).all(1)
+        jacobian = np.concatenate([by_v @ -rotation.skew(v), *(by_p[..., c].sum(-1, keepdims=True) for c in columns)], -1)
+        residual, jacobian = np.where(seen[:, None], residual, 0), np.where(seen[:, None, None], jacobian, 0)
+        size = np.sqrt(np.einsum("mi,mij,mj->m", residual, weight, residual))
+        robust = weight * np.minimum(1, HUBER_SIGMA / np.maximum(size, 1e-9))[:, None, None]
+        transposed = np.swapaxes(jacobian, 1, 2) @ robust
+        normal = (transposed @ jacobian).sum(0) + np.diag(prior)
+        gradient = (transposed @ residual[..., None]).sum(0)[:, 0]
+        terms = np.array([lens.fx_px, *lens.distortion[:2]])[:free] if free else np.zeros(0)
+        gradient[4:] -= prior[4:] * terms[1:]
+        step = np.linalg.solve(normal, gradient)
+        matrix = rotation.matrix_from_rotvec(step[:3]) @ matrix
+        if free:
+            terms = terms + step[3:]
+            aspect = lens.fy_px / lens.fx_px
+            focal = max(terms[0], 0.1 * lens.fx_px)
+            lens = replace(lens, fx_px=focal, fy_px=focal * aspect,
+                           distortion=np.concatenate([terms[1:], lens.distortion[free - 1:]]))
+    covariance = np.linalg.inv(normal)
+    if free:
+        lens = replace(lens, covariance=_lens_covariance(lens, covariance[3:, 3:]))
+    return Refined(rotation=rotation.nearest_rotation(matrix), intrinsics=lens, covariance=covariance,
+                   residual_px=np.where(seen[:, None], xy_px - projection.project(lens, directions @ matrix.T), np.nan))
+
+
+def _lens_covariance(lens: Intrinsics, fitted: np.ndarray) -> np.ndarray:
+    """Covariance over all lens parameters: what was fitted, infinite for the principal point, which one frame cannot see."""
+    spread = np.zeros((len(lens.parameters), len(fitted)))
+    for term, columns in enumerate(_lens_columns(len(fitted))):
+        spread[columns, term] = 1
+    full = spread @ fitted @ spread.T
+    full[2, 2] = full[3, 3] = np.inf
+    return full

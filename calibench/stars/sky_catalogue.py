@@ -1,0 +1,53 @@
+"""SkyCatalogue: the star table seen by an observer, ready to be searched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..geometry import sphere
+from ..records import Observer, StarTable
+
+MAS_RAD = np.pi / 180 / 3600 / 1000
+
+
+def star_directions(table: StarTable, observer: Observer) -> np.ndarray:
+    """(N, 3) unit vectors in ICRS axes as the observer sees them: proper motion, parallax, aberration.
+
+    Without a date the observer stands still at J2000.0 (DESIGN: positions at epoch J2000.0, no aberration).
+    """
+    years = observer.epoch_jyear - table.epoch_jyear
+    ra, dec = table.ra_rad.astype(float), table.dec_rad.astype(float)
+    at = sphere.unit_from_radec(ra, dec)
+    east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], -1)
+    north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], -1)
+    motion = (table.pm_ra_mas_yr[:, None] * east + table.pm_dec_mas_yr[:, None] * north) * (years * MAS_RAD)
+    shift = -np.maximum(table.parallax_mas, 0)[:, None].astype(float) * MAS_RAD * observer.position_au
+    moved = at + motion + shift
+    return sphere.aberrate(moved / np.linalg.norm(moved, axis=1, keepdims=True), observer.velocity_c)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkyCatalogue:
+    """directions (N, 3) as seen, magnitude (N,) Hp, brightest first; tree over the directions (chord distance)."""
+
+    table: StarTable
+    observer: Observer
+    directions: np.ndarray
+    magnitude: np.ndarray
+    tree: cKDTree
+
+    @classmethod
+    def seen_by(cls, table: StarTable, observer: Observer) -> SkyCatalogue:
+        directions = star_directions(table, observer)
+        if np.any(np.diff(table.hp_mag) < 0):
+            order = np.argsort(table.hp_mag, kind="stable")
+            table, directions = table.take(order), directions[order]
+        return cls(table=table, observer=observer, directions=directions, magnitude=table.hp_mag.astype(float),
+                   tree=cKDTree(directions))
+
+    def near(self, direction: np.ndarray, radius_rad: float) -> np.ndarray:
+        """Rows of the stars within radius_rad of a direction (3,), brightest first."""
+        return np.sort(self.tree.query_ball_point(direction, 2 * np.sin(min(radius_rad, np.pi) / 2)))
