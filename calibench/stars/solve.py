@@ -1,0 +1,134 @@
+"""solve: from a corrected frame to an attitude, stage by stage, each timed.
+
+1. Spots: background, detection, centroids with covariance.                       (spots)
+2. Identification, lost in space, with the map's lens, a given field, or neither.  (lost_in_space)
+3. Attitude by the named method, then its covariance and residuals.               (attitude)
+4. Where the image's centre looks, with aberration taken off.                      (geometry)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+
+import numpy as np
+
+from .. import registry
+from ..geometry import projection, rotation, sphere
+from ..records import Attitude, CorrectedFrame, Identification, Intrinsics, PsfMap, Spots
+from ..spots.find import find_spots
+from .lost_in_space import LostInSpace
+from .verify import CALIBRATED_MODEL_SD_PX, GUESSED_MODEL_SD_PX
+from .view import horizontal_fov
+
+IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lens:
+    """What the caller knows of the lens and the PSF: measured ones, or None. fov_rad: horizontal field given by hand."""
+
+    intrinsics: Intrinsics | None = None
+    psf: PsfMap | None = None
+    fov_rad: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """One frame's way through the sky wing. ra, dec, roll: of the image's centre, NaN without a solution."""
+
+    file: str
+    spots: Spots
+    identification: Identification
+    attitude: Attitude
+    ra_rad: float = np.nan
+    dec_rad: float = np.nan
+    roll_rad: float = np.nan
+    fov_rad: float = np.nan
+    timings_s: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def status(self) -> str:
+        return self.attitude.status
+
+    @property
+    def sigma_cross_rad(self) -> float:
+        """1-sigma of the boresight direction, rms of the two cross-boresight axes."""
+        return float(np.sqrt(np.trace(self.attitude.covariance_rad2[:2, :2]) / 2))
+
+    @property
+    def sigma_roll_rad(self) -> float:
+        return float(np.sqrt(self.attitude.covariance_rad2[2, 2]))
+
+
+@dataclass
+class Solver:
+    """Solves the frames of a series one after the other; a lens fitted to one frame is the first guess for the next."""
+
+    finder: LostInSpace
+    attitude_method: str = "quest"
+    detector: str = "components"
+    centroider: str = "gaussian"
+    k_sigma: float = 5.0
+    familiar: dict[tuple[int, int], Intrinsics] = field(default_factory=dict)
+
+    def solve(self, corrected: CorrectedFrame, lens: Lens) -> Solution:
+        """Solve one corrected frame.
+
+        Raises:
+            UsageError: an unknown detector, centroider, identifier or attitude method.
+        """
+        size = corrected.signal_dn.shape[::-1]
+        clock = [perf_counter()]
+        spots = find_spots(corrected, lens.psf or PsfMap.unknown(size), psf_known=lens.psf is not None,
+                           detector=self.detector, centroider=self.centroider, k_sigma=self.k_sigma)
+        clock.append(perf_counter())
+        found = self.finder.identify(spots, size, lens=lens.intrinsics, fov_rad=lens.fov_rad, familiar=self.familiar.get(size))
+        clock.append(perf_counter())
+        if found.status == "solved":
+            attitude = find_attitude(found, self.attitude_method, calibrated=lens.intrinsics is not None)
+            if lens.intrinsics is None:
+                self.familiar[size] = found.intrinsics
+        else:
+            attitude = Attitude(status=found.status, method=self.attitude_method, q_cam_icrs=IDENTITY,
+                                covariance_rad2=np.full((3, 3), np.inf), reason=found.reason)
+        clock.append(perf_counter())
+        timings = dict(zip(("detect", "identify", "attitude"), np.diff(clock).tolist(), strict=True))
+        solution = Solution(file=corrected.file, spots=spots, identification=found, attitude=attitude, timings_s=timings)
+        return _pointed(solution, self.finder) if attitude.status == "solved" else solution
+
+
+def find_attitude(found: Identification, method: str, *, calibrated: bool) -> Attitude:
+    """Attitude of an identified frame: Wahba's problem by the named method, covariance from the Fisher information in pixels.
+
+    The covariance is scaled up by the residuals' chi-square per degree of freedom where that exceeds one: a frame whose stars
+    miss by more than their centroids' errors is not given a better error bar than it shows.
+    """
+    lens = found.intrinsics
+    v, by_xy = projection.unproject_with_jacobian(lens, found.xy_px)
+    model_sd = CALIBRATED_MODEL_SD_PX if calibrated else GUESSED_MODEL_SD_PX
+    covariance_px2 = found.covariance_px2 + np.eye(2) * model_sd**2
+    sigma2 = np.trace(by_xy @ covariance_px2 @ np.swapaxes(by_xy, 1, 2), axis1=1, axis2=2) / 2
+    matrix = registry.load("calibench.stars.attitude", method).attitude(v, found.direction_icrs, 1 / sigma2)
+    predicted = found.direction_icrs @ matrix.T
+    xy, by_v, _ = projection.project_with_jacobian(lens, predicted)
+    residual = found.xy_px - xy
+    jacobian = by_v @ -rotation.skew(predicted)
+    weight = np.linalg.inv(covariance_px2)
+    information = (np.swapaxes(jacobian, 1, 2) @ weight @ jacobian).sum(0)
+    chi2 = np.einsum("mi,mij,mj->", residual, weight, residual) / max(2 * len(residual) - 3, 1)
+    return Attitude(status="solved", method=method, q_cam_icrs=rotation.quaternion_from_matrix(matrix),
+                    covariance_rad2=np.linalg.inv(information) * max(1.0, chi2), residual_px=residual)
+
+
+def _pointed(solution: Solution, finder: LostInSpace) -> Solution:
+    """With the sky direction of the image's centre: aberration removed, so that it is where the catalogue says it looks."""
+    lens = solution.identification.intrinsics
+    w, h = lens.image_size_px
+    centre, above = projection.unproject(lens, np.array([[(w - 1) / 2, (h - 1) / 2], [(w - 1) / 2, (h - 1) / 2 - 1]]))
+    matrix = rotation.matrix_from_quaternion(solution.attitude.q_cam_icrs)
+    velocity = finder.sky.observer.velocity_c
+    there, up = (sphere.remove_aberration(matrix.T @ v, velocity) for v in (centre, above))
+    ra, dec = sphere.radec_from_unit(there)
+    return replace(solution, ra_rad=float(ra), dec_rad=float(dec), roll_rad=sphere.position_angle(there, up),
+                   fov_rad=horizontal_fov(lens))
