@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
@@ -28,7 +27,6 @@ from .sidecar import sidecar_of
 
 READERS = "calibench.io.readers"
 MAX_FILE_BYTES = 8 * MAX_PIXELS
-READING_THREADS = 2
 
 
 @cache
@@ -104,21 +102,19 @@ def read_series(paths: Sequence[Path], kind: str | None = None, *, protocol: Fra
         BadInput: a frame cannot be read (all such frames are named), sizes, depths, gains or patterns are mixed, or the
             levels show automatic exposure or gain at work.
     """
-    def attempt(path: Path) -> Frame | BadInput:
+    frames: list[Frame] = []
+    errors: list[BadInput] = []
+    for path in paths:
         try:
-            return read_frame(path, kind, protocol=protocol)
+            frames.append(read_frame(path, kind, protocol=protocol))
         except BadInput as error:
-            return error
-
-    with ThreadPoolExecutor(READING_THREADS) as pool:  # hashing and decoding release the interpreter's lock
-        outcomes = list(pool.map(attempt, paths))
-    errors = [outcome for outcome in outcomes if isinstance(outcome, BadInput)]
+            errors.append(error)
     if len(errors) == 1:
         raise errors[0]
     if errors:
         lines = "".join(f"\n  {error}" for error in errors)
-        raise BadInput(f"{len(errors)} of {len(outcomes)} frames cannot be used:{lines}")
-    return check_series(outcomes)
+        raise BadInput(f"{len(errors)} of {len(errors) + len(frames)} frames cannot be used:{lines}")
+    return check_series(frames)
 
 
 def _claimed(path: Path) -> bool:

@@ -37,10 +37,11 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
         data = image.raw_image_visible.copy()
         pattern = _pattern(image)
         white, blacks, shot = image.white_level, image.black_level_per_channel, image.other
+    exposure_s = float(f"{shot.shutter_speed:.7g}")  # LibRaw keeps float32: 1/50 s comes as 0.01999999955
     # Some cameras' white level lies below what their converter can give.
     depth = max(int(white or 0), int(data.max(initial=0))).bit_length()
     notes = []
-    if not shot.shutter > 0:
+    if not exposure_s > 0:
         notes.append("no exposure time in the file")
     if len(set(blacks)) > 1:
         notes.append(f"black levels differ by colour ({', '.join(map(str, blacks))} DN): their mean is given")
@@ -48,7 +49,7 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
         notes.append(f"colour filter pattern {pattern} is no Bayer pattern and not used")
         pattern = None
     header = FrameMetadata(
-        exposure_s=float(shot.shutter) if shot.shutter > 0 else None,
+        exposure_s=exposure_s if exposure_s > 0 else None,
         gain_setting=float(shot.iso_speed) if shot.iso_speed > 0 else None,
         bayer_pattern=pattern, bit_depth=depth or None, alignment="right",
         black_level_dn=float(np.mean(blacks)), white_level_dn=float(white) if white else None)

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import logging
 import math
 from pathlib import Path
 
 from ...errors import BadInput
 from ..sidecar import Sidecar
 from ._exif import exif_of
-from ._reading import Reading, check_claim, decoding, frame_values, luminance
+from ._reading import TRUNCATED_MEND, Reading, check_claim, decoding, frame_values, luminance
 
 SUFFIXES = (".tif", ".tiff")
 REDUCED_IMAGE = 1  # bit of NewSubfileType: a preview of another image of the file
 WHITE_IS_ZERO = 0
+# tifffile logs what it finds odd; without a handler Python prints that to stderr, beside our one message.
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 
 def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
@@ -27,7 +30,9 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
 
     with decoding(file, "TIFF"), tifffile.TiffFile(io.BytesIO(raw)) as tiff:
         pages = [page for page in tiff.pages if not int(page.subfiletype or 0) & REDUCED_IMAGE]
-        if len(pages) != 1:
+        if not pages:
+            raise BadInput("holds no image", file=file, mend=TRUNCATED_MEND)
+        if len(pages) > 1:
             raise BadInput(f"holds {len(pages)} images; a frame is one", file=file,
                            mend="save each image as a file of its own")
         page = pages[0]
@@ -60,5 +65,4 @@ def _check(page: object, raw: bytes, file: Path) -> None:
                 compressed=compressed)
     missing = sum(page.databytecounts) - held
     if missing > 0:
-        raise BadInput(f"{missing} bytes of its image data are missing", file=file,
-                       mend="the file is truncated or damaged: copy it again from the camera, or leave it out")
+        raise BadInput(f"{missing} bytes of its image data are missing", file=file, mend=TRUNCATED_MEND)
