@@ -1,0 +1,50 @@
+"""Nonuniformity: the high-pass by its definition, its noise gain, and noise taken off without a NaN."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from calibench.measure import _nonuniformity as spatial
+
+
+def test_high_pass_is_the_three_filters_of_release_4():
+    image = np.random.default_rng(0).normal(100, 3, (60, 80))
+    smooth = ndimage.uniform_filter(ndimage.uniform_filter(image, 7, mode="reflect"), 11, mode="reflect")
+    binomial = np.outer([1, 2, 1], [1, 2, 1]) / 16
+    expected = image - ndimage.convolve(smooth, binomial, mode="reflect")
+    np.testing.assert_allclose(spatial.high_pass(image), expected, atol=1e-10)
+
+
+def test_noise_gain_is_what_white_noise_keeps():
+    noise = np.random.default_rng(1).normal(0, 1, (1500, 1500))
+    assert spatial.NOISE_GAIN == pytest.approx(0.98850, abs=5e-6)
+    assert spatial.high_pass(noise)[20:-20, 20:-20].var() / noise.var() == pytest.approx(0.98850, abs=1e-3)
+
+
+def test_lamp_fall_off_goes_and_pixel_pattern_stays():
+    rng = np.random.default_rng(2)
+    y, x = np.mgrid[:300, :400]
+    mean = 1000 - 1e-3 * ((x - 200) ** 2 + (y - 150) ** 2) + rng.normal(0, 5, x.shape) + rng.normal(0, 1, x.shape)
+    assert spatial.spatial_raw(mean, 1.0).sd > 15
+    assert spatial.spatial_1288(mean, 1.0).sd == pytest.approx(5 * 0.98850**0.5, rel=0.02)
+
+
+def test_defects_carry_the_standard_figure_and_not_the_core():
+    rng = np.random.default_rng(3)
+    mean = rng.normal(0, 2, (500, 500))
+    mean[rng.random(mean.shape) < 1e-3] += 80
+    assert spatial.spatial_1288(mean, 0.0).sd > 3
+    assert spatial.spatial_core(mean, 0.0).sd == pytest.approx(2, rel=0.03)
+
+
+def test_a_negative_variance_gives_zero_and_keeps_its_sign():
+    found = spatial.spatial_raw(np.random.default_rng(4).normal(0, 1, (100, 100)), 1.2)
+    assert found.sd == 0 and found.signed_variance < 0 and found.uncertainty > 0
+
+
+def test_error_bar_matches_the_scatter():
+    rng = np.random.default_rng(5)
+    found = [spatial.spatial_1288(rng.normal(0, 2, (64, 64)) + rng.normal(0, 1, (64, 64)), 1.0) for _ in range(200)]
+    assert np.std([f.sd for f in found]) == pytest.approx(np.mean([f.uncertainty for f in found]), rel=0.2)
