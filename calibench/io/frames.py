@@ -21,7 +21,7 @@ from ..errors import BadInput
 from ..records import Frame
 from .alignment import right_aligned
 from .metadata import FrameMetadata, merge
-from .readers._reading import MAX_PIXELS
+from .readers._reading import MAX_PIXELS, Reading
 from .series_checks import check_series
 from .sidecar import sidecar_of
 
@@ -49,7 +49,7 @@ def find_frames(arguments: Sequence[Path]) -> tuple[Path, ...]:
     found: dict[Path, Path] = {}
     for path in map(Path, arguments):
         if path.is_dir():
-            files = [file for file in path.iterdir() if _claimed(file) and file.is_file()]
+            files = [file for file in _listed(path) if _claimed(file) and file.is_file()]
             if not files:
                 raise BadInput("no frame is in this folder", file=path, mend=f"files read are: {_known_suffixes()}")
         elif not path.exists():
@@ -80,19 +80,12 @@ def read_frame(path: Path, kind: str | None = None, *, protocol: FrameMetadata |
         raise BadInput("holds no pixels", file=path)
     known = merge([("the file's header", reading.header), (sidecar.source, sidecar.metadata),
                    ("the protocol", protocol or FrameMetadata())], file=path)
-    data, depth, notes, lossy = reading.data, known.bit_depth, reading.notes, reading.lossy
-    if data.dtype == np.uint16:
-        data, depth, said = right_aligned(data, bit_depth=depth, alignment=known.alignment, file=path)
-        notes = (*notes, said) if said else notes
-    elif data.dtype == np.uint8 and depth is None:
-        depth, lossy, notes = 8, True, (*notes, "8-bit file: steps of a finer converter may be lost")
-    elif depth is None:
-        depth, notes = 16, (*notes, "float data: a white level of 16 bits is assumed unless bit_depth is stated")
-    values = dataclasses.asdict(known) | {"kind": known.kind or kind or "unknown", "bit_depth": depth}
-    del values["alignment"]
-    if known.white_level_dn is None:
-        values["white_level_dn"] = float(2**depth - 1)
-    return Frame(data=data, lossy=lossy, notes=notes, file=str(path), sha256=hashlib.sha256(raw).hexdigest(), **values)
+    if known.exposure_s is not None and known.exposure_s < 0:
+        raise BadInput(f"the stated exposure is {known.exposure_s:g} s", file=path, mend="correct the exposure")
+    settled = _settled_values(reading, known, path)
+    said = {name: value for name, value in dataclasses.asdict(known).items() if name != "alignment"}
+    return Frame(**(said | settled | {"kind": known.kind or kind or "unknown", "file": str(path),
+                                      "sha256": hashlib.sha256(raw).hexdigest()}))
 
 
 def read_series(paths: Sequence[Path], kind: str | None = None, *, protocol: FrameMetadata | None = None) -> list[Frame]:
@@ -115,6 +108,33 @@ def read_series(paths: Sequence[Path], kind: str | None = None, *, protocol: Fra
         lines = "".join(f"\n  {error}" for error in errors)
         raise BadInput(f"{len(errors)} of {len(errors) + len(frames)} frames cannot be used:{lines}")
     return check_series(frames)
+
+
+def _listed(folder: Path) -> list[Path]:
+    try:
+        return list(folder.iterdir())
+    except OSError as error:
+        raise BadInput(f"cannot be listed: {error.strerror or error}", file=folder, mend="check the rights") from error
+
+
+def _settled_values(reading: Reading, known: FrameMetadata, path: Path) -> dict[str, object]:
+    """Pixels right-aligned, their bit depth and white level, and what had to be assumed for them."""
+    data, depth, notes, lossy = reading.data, known.bit_depth, reading.notes, reading.lossy
+    if data.dtype == np.uint16:
+        data, depth, said = right_aligned(data, bit_depth=depth, alignment=known.alignment, file=path)
+        notes = (*notes, said) if said else notes
+    elif data.dtype == np.uint8 and depth is None:
+        depth, lossy, notes = 8, True, (*notes, "8-bit file: steps of a finer converter may be lost")
+    elif data.dtype == np.uint8 and depth > 8:
+        raise BadInput(f"holds 8 bits a pixel, but {depth} bits are stated", file=path,
+                       mend="correct bit_depth, or give the frame as a 16-bit file")
+    elif depth is None:
+        depth, notes = 16, (*notes, "float data: a white level of 16 bits is assumed unless bit_depth is stated")
+    white_dn = float(2**depth - 1) if known.white_level_dn is None else known.white_level_dn
+    if white_dn > 2**depth and data.dtype != np.float32:
+        raise BadInput(f"the stated white level {white_dn:g} DN does not fit {depth}-bit values", file=path,
+                       mend="state bit_depth and white_level_dn (right-aligned) in a sidecar")
+    return {"data": data, "bit_depth": depth, "white_level_dn": white_dn, "notes": notes, "lossy": lossy}
 
 
 def _claimed(path: Path) -> bool:

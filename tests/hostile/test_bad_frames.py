@@ -167,6 +167,26 @@ def test_fits_keywords_that_mean_nothing(tmp_path: Path, keywords, said):
     assert said in refusal(tmp_path / "a.fits")
 
 
+def test_a_file_of_several_images_is_no_frame(tmp_path: Path):
+    fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(DATA), fits.ImageHDU(DATA)]).writeto(tmp_path / "map.fits")
+    assert "holds 2 images" in refusal(tmp_path / "map.fits")
+
+
+@pytest.mark.parametrize(("sidecar", "said"), [("bit_depth = 10\n", "do not fit"), ("exposure_s = -1\n", "exposure_s"),
+                                               ("bit_depth = 12\nwhite_level_dn = 9000\n", "white level")])
+def test_statements_that_the_pixels_contradict(tmp_path: Path, sidecar, said):
+    cv2.imwrite(str(tmp_path / "a.png"), DATA)
+    (tmp_path / "a.png.toml").write_text(sidecar)
+    with pytest.raises(BadInput, match=said):
+        read_frame(tmp_path / "a.png")
+
+
+def test_eight_bits_cannot_hold_twelve(tmp_path: Path):
+    cv2.imwrite(str(tmp_path / "a.png"), (DATA >> 4).astype(np.uint8))
+    (tmp_path / "a.png.toml").write_text("bit_depth = 12\n")
+    assert "12 bits are stated" in refusal(tmp_path / "a.png")
+
+
 def test_header_against_sidecar(tmp_path: Path):
     fits.PrimaryHDU(DATA, fits.Header({"EXPTIME": 1.0})).writeto(tmp_path / "a.fits")
     (tmp_path / "a.fits.toml").write_text("exposure_s = 2.0\n")

@@ -205,6 +205,13 @@ def test_bayer_offset_moves_the_pattern(tmp_path: Path):
     assert read_frame(tmp_path / "a.fits").bayer_pattern == "GRBG"
 
 
+def test_drivers_zeros_are_not_taken_for_values(tmp_path: Path):
+    fits.PrimaryHDU(twelve_bits(), fits.Header({"EGAIN": 0.0, "BITDEPTH": 32})).writeto(tmp_path / "a.fits")
+    frame = read_frame(tmp_path / "a.fits")
+    assert (frame.egain_e_per_dn, frame.bit_depth) == (None, 16)
+    assert any("EGAIN 0" in note for note in frame.notes)
+
+
 def test_signed_and_scaled_fits_become_float(tmp_path: Path):
     fits.PrimaryHDU(np.array([[-3, 5], [7, 70000]], np.int32)).writeto(tmp_path / "a.fits")
     frame = read_frame(tmp_path / "a.fits")

@@ -35,7 +35,7 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
             raise BadInput("holds developed colours, not the sensor's mosaic", file=file,
                            mend="record raw or DNG without demosaicing")
         data = image.raw_image_visible.copy()
-        pattern = _pattern(image)
+        coloured, pattern = image.num_colors > 1, _pattern(image)
         white, blacks, shot = image.white_level, image.black_level_per_channel, image.other
     exposure_s = float(f"{shot.shutter_speed:.7g}")  # LibRaw keeps float32: 1/50 s comes as 0.01999999955
     # Some cameras' white level lies below what their converter can give.
@@ -45,9 +45,8 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
         notes.append("no exposure time in the file")
     if len(set(blacks)) > 1:
         notes.append(f"black levels differ by colour ({', '.join(map(str, blacks))} DN): their mean is given")
-    if pattern is not None and pattern not in BAYER_PATTERNS:
-        notes.append(f"colour filter pattern {pattern} is no Bayer pattern and not used")
-        pattern = None
+    if coloured and pattern is None:
+        notes.append("its colour filters are no Bayer pattern: none is given")
     header = FrameMetadata(
         exposure_s=exposure_s if exposure_s > 0 else None,
         gain_setting=float(shot.iso_speed) if shot.iso_speed > 0 else None,
@@ -58,7 +57,8 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
 
 def _pattern(image: object) -> str | None:
     """Colours of the first two by two visible pixels, read off pixel by pixel: margins may shift the sensor's pattern."""
-    if image.num_colors == 1 or image.raw_pattern is None:
+    if image.raw_pattern is None or image.raw_pattern.shape != (2, 2):
         return None
     colours, top, left = image.color_desc.decode("ascii"), image.sizes.top_margin, image.sizes.left_margin
-    return "".join(colours[image.raw_color(top + row, left + column)] for row in (0, 1) for column in (0, 1))
+    pattern = "".join(colours[image.raw_color(top + row, left + column)] for row in (0, 1) for column in (0, 1))
+    return pattern if pattern in BAYER_PATTERNS else None

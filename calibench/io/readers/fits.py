@@ -23,15 +23,18 @@ BLOCK_BYTES = 2880
 # Keywords in use for one meaning, by field; where a header carries two of them they must agree.
 NUMBERS = {
     "exposure_s": ("EXPTIME", "EXPOSURE"), "gain_setting": ("GAIN",), "egain_e_per_dn": ("EGAIN",),
-    "temperature_c": ("CCD-TEMP",), "pixel_size_um": ("XPIXSZ", "PIXSIZE1"), "bit_depth": ("BITDEPTH",),
+    "temperature_c": ("CCD-TEMP",), "pixel_size_um": ("XPIXSZ",), "bit_depth": ("BITDEPTH",),
     "black_level_dn": ("BLACKLEV",), "white_level_dn": ("SATURATE",),
 }
+# Drivers write 0 (or the container's 32 bits) where they do not know these.
+KNOWN_WITHIN = {"egain_e_per_dn": (1e-9, np.inf), "pixel_size_um": (1e-9, np.inf), "white_level_dn": (1, np.inf),
+                "bit_depth": (1, 16)}
 TEXTS = {"kind": ("IMAGETYP", "FRAME"), "bayer_pattern": ("BAYERPAT", "COLORTYP"), "date_obs": ("DATE-OBS",),
          "camera": ("INSTRUME",)}
 
 
 def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
-    """The first image of the file with its keywords, top row first.
+    """The one image of the file with its keywords, top row first.
 
     Raises:
         BadInput: no FITS, truncated, a checksum that does not hold, no single image, or keywords that contradict each other.
@@ -44,9 +47,11 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
         warnings.simplefilter("error", AstropyUserWarning)
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
         with fits.open(io.BytesIO(raw), memmap=False, lazy_load_hdus=True, checksum=True) as hdus:
-            hdu = next((hdu for hdu in hdus if hdu.is_image and hdu.header.get("NAXIS", 0) >= 2), None)
-            if hdu is None:
-                raise BadInput("holds no image", file=file, mend="leave it out: it is a table or an empty header")
+            images = [hdu for hdu in hdus if hdu.is_image and hdu.header.get("NAXIS", 0) >= 2]
+            if len(images) != 1:
+                raise BadInput(f"holds {len(images) or 'no'} images; a frame is one", file=file,
+                               mend="leave it out (a table, a calibration map), or save each image as a file of its own")
+            hdu = images[0]
             header = dict(hdus[0].header) | dict(hdu.header)
             _check(hdu, raw, file)
             data = np.squeeze(hdu.data)
@@ -55,7 +60,7 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
     pattern = _shifted(metadata.bayer_pattern, header)
     order = str(header.get("ROWORDER", "")).strip().upper()
     if order == "BOTTOM-UP":
-        data, pattern = np.flipud(data), _flipped(pattern, rows=data.shape[0])
+        data, pattern = np.ascontiguousarray(np.flipud(data)), _flipped(pattern, rows=data.shape[0])
         notes = (*notes, "ROWORDER is BOTTOM-UP: rows flipped, top first" + (" (Bayer pattern too)" if pattern else ""))
     elif order not in ("", "TOP-DOWN"):
         raise BadInput(f"ROWORDER is '{order}', neither TOP-DOWN nor BOTTOM-UP", file=file, mend="correct the keyword")
@@ -76,7 +81,11 @@ def metadata_of_header(header: Mapping[str, object], file: object) -> tuple[Fram
     for name, keywords in NUMBERS.items():
         for keyword in (k for k in keywords if header.get(k) not in (None, "")):
             number = _number(header[keyword], keyword, file)
-            by_keyword.setdefault(keyword, {})[name] = int(number) if name == "bit_depth" else number
+            lowest, highest = KNOWN_WITHIN.get(name, (-np.inf, np.inf))
+            if lowest <= number <= highest:
+                by_keyword.setdefault(keyword, {})[name] = int(number) if name == "bit_depth" else number
+            else:
+                notes.append(f"{keyword} {number:g} is no possible value and not used")
     for name, keywords in TEXTS.items():
         for keyword in (k for k in keywords if str(header.get(k) or "").strip()):
             value = _text(name, str(header[keyword]).strip(), keyword, header, file)
