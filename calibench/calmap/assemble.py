@@ -31,8 +31,8 @@ def assemble(measurements: Sequence[Measurement], base: CalibrationMap | None = 
     """One map of all measurements, on top of a copy of `base`.
 
     Layers replace those of the base by whole groups (LAYER_GROUPS); where two measurements bring the same layer, the
-    later one counts and a warning says so. Defects are OR-ed: a flag that the base carries stays. A scalar layer that is
-    not finite counts as not measured.
+    later one counts and a warning says so. Defects are OR-ed: a flag that the base carries stays. A scalar layer that
+    is not finite counts as not measured; a pixel that is not finite takes its layer's median and the flag `unmeasured`.
 
     Quantities are named "measurement.quantity", evidence "measurement/array", inputs "measurement/file", settings by
     measurement; warnings begin with "measurement: ". What the base holds of a measurement that is made anew is
@@ -102,8 +102,8 @@ def _layers(measurements: Sequence[Measurement], base: CalibrationMap | None) ->
                 value, unmeasured = _filled(value, f"layer {name} of {measurement.name}")
                 if unmeasured.any():
                     defects.append(unmeasured * np.uint16(DEFECT_FLAGS["unmeasured"]))
-                    warnings.append(f"{measurement.name}: {np.count_nonzero(unmeasured)} pixels of {name} are not finite; "
-                                    "they take the layer's median and the flag 'unmeasured'")
+                    warnings.append(f"{measurement.name}: {np.count_nonzero(unmeasured)} pixels of {name} are not "
+                                    "finite; they take the layer's median and the flag 'unmeasured'")
             new[name] = value
 
     replaced = {name for group in LAYER_GROUPS.values() if not new.keys().isdisjoint(group) for name in group}

@@ -27,7 +27,7 @@ def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
     variance_dn2 is the random part only; the map's own uncertainty is common to all frames and stays in the map.
     It is NaN everywhere where the map has no read noise: nothing in a single frame tells it, and the consumer has to
     estimate it from the sky. The read noise layer is the temporal scatter of raw frames, so quantisation is in it and
-    1/12 DN^2 is only its floor. Where the gain is unknown, shot noise is missing and the variance holds for the dark sky.
+    1/12 DN^2 is only its floor. Where the gain is unknown, shot noise is missing: the variance holds for a dark sky.
 
     defects: the map's flags, `saturated` at and above min(white level, measured saturation), `dead` where the response
     is not positive; there the response is taken as 1, so that the signal stays finite.
@@ -37,8 +37,9 @@ def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
         BadInput: the frame has another size than the map.
     """
     if frame.image_size_px != calmap.image_size_px:
-        raise BadInput("the frame is {} x {} pixels, the map {} x {}".format(*frame.image_size_px, *calmap.image_size_px),
-                       file=frame.file or None, mend="use the map of this camera at this binning and window")
+        (w, h), (map_w, map_h) = frame.image_size_px, calmap.image_size_px
+        raise BadInput(f"the frame is {w} x {h} pixels, the map {map_w} x {map_h}", file=frame.file or None,
+                       mend="use the map of this camera at this binning and window")
     warnings = list(unchecked_conditions(frame, calmap))
 
     charge_dn = frame.data.astype(np.float32) - calmap.offset_dn

@@ -120,7 +120,8 @@ def rebuild(meta: dict, arrays: Mapping[str, np.ndarray]) -> CalibrationMap:
             coefficients=arrays["PSF_COEFFICIENTS"], measured_xy_px=arrays["PSF_MEASURED_XY_PX"])
     spans = {name: tuple(value) if isinstance(value, list) else value for name, value in meta["conditions"].items()}
     return CalibrationMap(
-        image_size_px=size, measured=measured, **layers, camera=Camera(**meta["camera"]), conditions=Conditions(**spans),
+        image_size_px=size, measured=measured, **layers,
+        camera=Camera(**meta["camera"]), conditions=Conditions(**spans),
         quantities={key: Quantity(**quantity) for key, quantity in meta["quantities"].items()},
         verdicts=tuple(_verdict(entry) for entry in meta["verdicts"]), warnings=tuple(meta["warnings"]),
         evidence={key: arrays[f"EVIDENCE/{key}"] for key in meta["evidence"]},
@@ -147,7 +148,8 @@ def _layer(calmap: CalibrationMap, name: str) -> dict:
     if name in SCALAR_LAYERS:
         return {"measured": True, "unit": UNITS[name], "value": value}
     if name == "defects":
-        return {"measured": True, "counts": {flag: np.count_nonzero(value & bit) for flag, bit in DEFECT_FLAGS.items()}}
+        counts = {flag: np.count_nonzero(value & bit) for flag, bit in DEFECT_FLAGS.items()}
+        return {"measured": True, "counts": counts}
     return {"measured": True}
 
 

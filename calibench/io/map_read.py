@@ -170,8 +170,8 @@ def _layout_errors() -> Iterator[None]:
     """What is raised on a file that is as written but does not follow the layout is a failed check."""
     try:
         yield
-    except (OSError, LookupError, TypeError, ValueError, AttributeError, RecursionError, fits.VerifyError, AstropyWarning,
-            BadInput) as error:
+    except (OSError, LookupError, TypeError, ValueError, AttributeError, RecursionError, fits.VerifyError,
+            AstropyWarning, BadInput) as error:
         raise _Failed(f"the file does not follow the layout of schema {SCHEMA}: {error}") from error
 
 

@@ -40,7 +40,8 @@ def encode_map(calmap: CalibrationMap) -> bytes:
     hdus = fits.HDUList([
         primary,
         _table("METADATA", {"JSON": [json.dumps(meta, ensure_ascii=True, allow_nan=False)]}),
-        _table("QUANTITIES", _columns(quantities, ("name", "symbol", "value", "uncertainty", "unit", "source", "reason"))),
+        _table("QUANTITIES", _columns(quantities, ("name", "symbol", "value", "uncertainty", "unit", "source",
+                                                   "reason"))),
         _table("VERDICTS", _columns(meta["verdicts"], ("measurement", "quantity", "status", "value", "uncertainty",
                                                        "minimum", "maximum", "unit", "why", "reason"))),
         _table("INPUTS", {"FILE": list(meta["inputs"]), "SHA256": list(meta["inputs"].values())}),
@@ -65,7 +66,8 @@ def encode_map(calmap: CalibrationMap) -> bytes:
 def _primary_header(meta: dict) -> fits.Header:
     """Who, when and under which conditions, for anyone who opens the file without calibench."""
     camera, conditions = meta["camera"], meta["conditions"]
-    exposure, temperature, date = (conditions[key] or (None, None) for key in ("exposure_s", "temperature_c", "date_obs"))
+    exposure, temperature, date = (conditions[key] or (None, None)
+                                   for key in ("exposure_s", "temperature_c", "date_obs"))
     cards = [
         ("CBSCHEMA", SCHEMA, "version of the calibench map layout"),
         ("FILESIZE", 0, "bytes of this file"),

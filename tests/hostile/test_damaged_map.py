@@ -152,7 +152,7 @@ def test_the_helper_that_seals_a_file_makes_a_good_one(path):
     assert read_map(path).measured == a_map().measured
 
 
-@pytest.mark.parametrize("text", ["{}", "[]", "not json", '{"layers": {"offset_dn": {"measured": true}}, "evidence": 3}'])
+@pytest.mark.parametrize("text", ["{}", "[]", "not json", '{"layers": {"psf": {"measured": true}}, "evidence": 3}'])
 def test_metadata_that_is_no_description_is_refused(path, text):
     with fits.open(path) as hdus:
         hdus["METADATA"] = fits.BinTableHDU.from_columns(

@@ -59,7 +59,8 @@ def full_map() -> CalibrationMap:
                               date_obs=("2024-01-01T00:00:00", "2024-01-01T01:00:00")),
         quantities={"dark.read_noise_e": Quantity(name="read_noise_e", value=4.5, unit="e-", symbol="σ_d",
                                                   uncertainty=0.1, source="EMVA 1288 R4.0 Linear, 6.6"),
-                    "dark.dsnu_1288_e": Quantity(name="dsnu_1288_e", value=None, unit="e-", reason="the gain is unknown")},
+                    "dark.dsnu_1288_e": Quantity(name="dsnu_1288_e", value=None, unit="e-",
+                                                 reason="the gain is unknown")},
         verdicts=(Verdict(limit=limit, status="pass", value=4.5, uncertainty=0.1, reason="4.5 e- is within the limit"),
                   Verdict(limit=limit, status="skipped", reason="not measured")),
         warnings=("dark: the temperature drifts",), evidence=EVIDENCE, inputs={"dark/d1.png": "ab" * 32},
@@ -80,8 +81,8 @@ def test_everything_comes_back(map_path, full_map):
         np.testing.assert_array_equal(getattr(back, name), getattr(full_map, name))
         assert getattr(back, name).dtype == np.float32 and getattr(back, name).dtype.isnative
     np.testing.assert_array_equal(back.defects, full_map.defects)
-    for name in ("measured", "image_size_px", "gain_dn_per_e", "saturation_dn", "camera", "conditions", "quantities", "inputs",
-                 "settings", "verdicts", "warnings", "protocol_sha256", "software", "created"):
+    for name in ("measured", "image_size_px", "gain_dn_per_e", "saturation_dn", "camera", "conditions", "quantities",
+                 "inputs", "settings", "verdicts", "warnings", "protocol_sha256", "software", "created"):
         assert getattr(back, name) == getattr(full_map, name), name
     np.testing.assert_array_equal(back.intrinsics.parameters, full_map.intrinsics.parameters)
     np.testing.assert_array_equal(back.intrinsics.covariance, full_map.intrinsics.covariance)
@@ -104,7 +105,8 @@ def test_the_same_map_gives_the_same_bytes(full_map, map_path):
 
 def test_only_measured_layers_are_stored(tmp_path):
     path = tmp_path / "offset.fits"
-    write_map(path, CalibrationMap(image_size_px=(4, 3), offset_dn=np.full((3, 4), 64.0), measured=frozenset(["offset_dn"])))
+    offset_dn = np.full((3, 4), 64.0)
+    write_map(path, CalibrationMap(image_size_px=(4, 3), offset_dn=offset_dn, measured=frozenset(["offset_dn"])))
     with fits.open(path) as hdus:
         assert [hdu.name for hdu in hdus] == ["PRIMARY", "METADATA", "QUANTITIES", "VERDICTS", "INPUTS", "OFFSET_DN"]
     back = read_map(path)
