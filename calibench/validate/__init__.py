@@ -1,0 +1,1 @@
+"""Is it good enough: acceptance limits, and trials that measure the whole chain against truth."""

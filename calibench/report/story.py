@@ -1,0 +1,55 @@
+"""Story: everything a report tells, gathered by the session; sections only read it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..records import CalibrationMap, Measurement, Verdict
+from ..stars.solve import Solution
+from ..validate.case import SkyTruth, Trial
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShotStory:
+    """One kind of shot of the protocol: what was asked, what was found. status: pass, fail or skipped."""
+
+    name: str
+    folder: str
+    what: str
+    why: str
+    wanted: int
+    found: int
+    status: str
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkyStory:
+    """One sky frame: signal (H, W) DN above dark for the overlay, the solution without and with the map, truth or None."""
+
+    name: str
+    signal_dn: np.ndarray
+    raw: Solution
+    calibrated: Solution
+    truth: SkyTruth | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Story:
+    """shots in the protocol's order; measurements by name; star_names: HIP -> text to print beside a star."""
+
+    title: str
+    why: str
+    created: str
+    software: str
+    calmap: CalibrationMap
+    shots: tuple[ShotStory, ...] = ()
+    measurements: Mapping[str, Measurement] = field(default_factory=dict)
+    verdicts: tuple[Verdict, ...] = ()
+    sky: tuple[SkyStory, ...] = ()
+    ablation: Trial | None = None
+    star_names: Mapping[int, str] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
