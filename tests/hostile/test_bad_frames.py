@@ -97,6 +97,13 @@ def test_truncated(tmp_path: Path, suffix, kept):
     assert "how to mend" in refusal(path)
 
 
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_a_missing_end_is_seen_before_decoding(tmp_path: Path, suffix):
+    path = tmp_path / f"cut{suffix}"
+    path.write_bytes(encoded(suffix)[:-20])
+    assert "before the picture does" in refusal(path)
+
+
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif", ".npy", ".fits"])
 def test_claims_beyond_the_file_take_no_memory(tmp_path: Path, suffix, monkeypatch):
     path = tmp_path / f"bomb{suffix}"
