@@ -18,7 +18,8 @@ from .camera import SimulatedCamera
 
 _WHITE, _BLACK, _WALL = 1.0, 0.06, 0.25
 _MARGIN_SQUARES = 1.0
-_DRAWS = 5000
+_DRAWS_PER_POSE = 40
+_EDGE_PX = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,34 +62,51 @@ def corner_pixels(camera: SimulatedCamera, board: Board, pose: BoardPose) -> np.
 
 
 def random_poses(camera: SimulatedCamera, board: Board, count: int, rng: np.random.Generator) -> list[BoardPose]:
-    """Poses for a calibration: all squares on the image, tilts of 20 to 45 degrees in directions that go round by the golden
-    angle, distances and places at random, the outer parts of the field preferred.
+    """Poses for a calibration, all squares on the image: pushed in turn to each corner, each edge and the middle, tilted by 20
+    to 45 degrees in directions that go round by the golden angle, at distances and rolls drawn at random.
 
     Raises:
         BadInput: this board cannot be placed so.
     """
-    width, height = camera.image_size_px
-    middle_mm = board.corners_mm.mean(axis=0)
+    size_px = np.array(camera.image_size_px)
+    middle_px = (size_px - 1) / 2
     poses: list[BoardPose] = []
-    for _ in range(_DRAWS):
+    for _ in range(_DRAWS_PER_POSE * count):
         if len(poses) == count:
-            return poses
+            break
         tilt, direction = np.radians(rng.uniform(20, 45)), len(poses) * np.pi * (3 - np.sqrt(5))
         roll = np.radians(rng.uniform(-25, 25))
         rotation = (matrix_from_rotvec(tilt * np.array([np.cos(direction), np.sin(direction), 0.0]))
                     @ matrix_from_rotvec(np.array([0.0, 0.0, roll])))
-        # A board whose width takes this share of the image's, its middle anywhere that leaves it inside.
-        share = rng.uniform(0.55, 0.85)
-        distance_mm = (board.columns + 1) * board.square_mm * camera.intrinsics.fx_px / (share * width)
-        aim_px = np.array([[rng.uniform(0.25, 0.75) * width, rng.uniform(0.25, 0.75) * height]])
-        centre_mm = unproject(camera.intrinsics, aim_px)[0] * distance_mm
-        pose = BoardPose(rotvec_rad=tuple(rotvec_from_matrix(rotation).tolist()),
-                         translation_mm=tuple((centre_mm - rotation @ middle_mm).tolist()))
-        outline_px = project(camera.intrinsics, pose.to_camera(board.outline_mm))
-        if ((outline_px > 3) & (outline_px < np.array([width, height]) - 4)).all():
+        # Face on, the squares would take this share of the image's width.
+        share = rng.uniform(0.5, 0.85)
+        distance_mm = (board.columns + 1) * board.square_mm * camera.intrinsics.fx_px / (share * size_px[0])
+        side = np.array([len(poses) % 3 - 1, len(poses) // 3 % 3 - 1])
+        outline_px = _outline_px(camera, board, _pose_aimed_at(camera, board, rotation, distance_mm, middle_px))
+        room_px = (size_px - np.ptp(outline_px, axis=0)) / 2 - _EDGE_PX
+        if not (room_px >= 0).all():  # too large here, or partly behind the camera (NaN)
+            continue
+        push_px = side * room_px - (outline_px.max(axis=0) + outline_px.min(axis=0)) / 2 + middle_px
+        pose = _pose_aimed_at(camera, board, rotation, distance_mm, middle_px + push_px)
+        outline_px = _outline_px(camera, board, pose)
+        if ((outline_px > 2) & (outline_px < size_px - 3)).all():
             poses.append(pose)
-    raise BadInput(f"a board of {board.columns}x{board.rows} corners does not fit the image in {count} tilted poses",
-                   mend="choose a board whose sides relate more like the image's")
+    if len(poses) < count:
+        raise BadInput(f"a board of {board.columns}x{board.rows} corners does not fit the image in {count} tilted poses",
+                       mend="choose a board whose sides relate more like the image's")
+    return poses
+
+
+def _pose_aimed_at(camera: SimulatedCamera, board: Board, rotation: np.ndarray, distance_mm: float,
+                   xy_px: np.ndarray) -> BoardPose:
+    """The pose that puts the board's middle on the ray of a pixel."""
+    middle_mm = unproject(camera.intrinsics, xy_px[None])[0] * distance_mm
+    translation_mm = middle_mm - rotation @ board.corners_mm.mean(axis=0)
+    return BoardPose(rotvec_rad=tuple(rotvec_from_matrix(rotation).tolist()), translation_mm=tuple(translation_mm.tolist()))
+
+
+def _outline_px(camera: SimulatedCamera, board: Board, pose: BoardPose) -> np.ndarray:
+    return project(camera.intrinsics, pose.to_camera(board.outline_mm))
 
 
 def render_board(camera: SimulatedCamera, board: Board, pose: BoardPose, *, white_e: float,
@@ -115,7 +133,7 @@ def render_board(camera: SimulatedCamera, board: Board, pose: BoardPose, *, whit
 
 def _reflectance(board: Board, u_mm: np.ndarray, v_mm: np.ndarray, u_blur_mm: np.ndarray, v_blur_mm: np.ndarray,
                  skew: np.ndarray) -> np.ndarray:
-    """The blurred pattern at plane points; *_blur_mm: sigma of the image's round blur along u and v, skew: their correlation."""
+    """The blurred pattern at plane points; *_blur_mm: sigma of the round blur along u and v, skew: their correlation."""
     square, margin = board.square_mm, _MARGIN_SQUARES * board.square_mm
     parity = squares = sheet = 1.0
     sigmas = []  # distance from the nearest inner line, in sigmas of the blur

@@ -101,4 +101,4 @@ def render_sources(aberrations: Aberrations, xy_px: np.ndarray, flux_e: np.ndarr
     columns, rows = (np.broadcast_to(a, stamps.shape) for a in (columns, rows))
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     flat = np.bincount(rows[inside] * width + columns[inside], weights=stamps[inside], minlength=width * height)
-    return flat.reshape(height, width)
+    return flat.astype(float).reshape(height, width)  # of no source at all bincount makes integers
