@@ -61,15 +61,27 @@ def spatial_core(mean: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
 
 def _corrected(measured: float, temporal: float, pixels: int, efficiency: float = 1.0) -> Spatial:
     """Efficiency: information of the estimator against the sample variance (Gaussian; 0.37 for the interquartile range)."""
-    variance = measured - temporal
-    error = measured * np.sqrt(2 / (pixels * efficiency))
+    return _spatial(measured - temporal, measured * np.sqrt(2 / (pixels * efficiency)))
+
+
+def _spatial(variance: float, error: float) -> Spatial:
+    """From a variance and its 1-sigma error."""
     sd = float(np.sqrt(max(variance, 0.0)))
-    return Spatial(sd=sd, uncertainty=float(error / (2 * sd)) if sd > 0 else float(np.sqrt(error)), signed_variance=variance)
+    return Spatial(sd=sd, uncertainty=float(error / (2 * sd) if sd > 0 else np.sqrt(error)), signed_variance=float(variance))
+
+
+def _error(part: Spatial) -> float:
+    """1-sigma error of the variance."""
+    return 2 * part.sd * part.uncertainty if part.sd > 0 else part.uncertainty**2
 
 
 def difference(bright: Spatial, dark: Spatial, scale: float) -> Spatial:
-    """sqrt(bright^2 - dark^2) / scale, as PRNU1288 has it (release 4, eq. for PRNU)."""
-    variance = (bright.signed_variance - dark.signed_variance) / scale**2
-    error = np.hypot(2 * bright.sd * bright.uncertainty, 2 * dark.sd * dark.uncertainty) / scale**2
-    sd = float(np.sqrt(max(variance, 0.0)))
-    return Spatial(sd=sd, uncertainty=float(error / (2 * sd)) if sd > 0 else float(np.sqrt(error)), signed_variance=variance)
+    """sqrt(bright^2 - dark^2) / scale, as PRNU1288 has it (release 4 Linear, table 2)."""
+    error = np.hypot(_error(bright), _error(dark))
+    return _spatial((bright.signed_variance - dark.signed_variance) / scale**2, float(error) / scale**2)
+
+
+def pooled(parts: list[Spatial]) -> Spatial:
+    """Mean variance of parts of equal size."""
+    n = len(parts)
+    return _spatial(sum(p.signed_variance for p in parts) / n, float(np.sqrt(sum(_error(p) ** 2 for p in parts))) / n)

@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import BadInput
 from ..records import Frame, FrameStack
 
-MIN_FRAMES_FOR_DRIFT = 4
+MIN_FRAMES_FOR_SLOPE = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +72,11 @@ class Accumulator:
         """Frames taken so far."""
         return len(self._levels)
 
+    @property
+    def level_dn(self) -> float:
+        """Mean level of the frames so far."""
+        return float(np.mean(self._levels)) + self._shift
+
     def series(self) -> Series:
         """Mean, variance, and the variance about the common level.
 
@@ -86,11 +91,13 @@ class Accumulator:
         nothing = np.full(mean.shape, np.nan)
         levels = np.array(self._levels)
         spread = float(np.sum((levels - levels.mean()) ** 2))
-        slope, steady, freedom = np.ones(mean.shape), squares, n - 1
-        if n >= MIN_FRAMES_FOR_DRIFT and spread > 0:
-            cross = self._weighted - levels.mean() * self._sum
+        cross = self._weighted - levels.mean() * self._sum
+        if n >= MIN_FRAMES_FOR_SLOPE and spread > 0:
             slope, freedom = cross / spread, n - 2
             steady = np.maximum(squares - cross * slope, 0)
+        else:  # too few frames for a slope of its own: every pixel follows the level (the pair formula of EMVA 1288)
+            slope, freedom = np.ones(mean.shape), n - 1
+            steady = np.maximum(squares - 2 * cross + spread, 0)
         stack = FrameStack(mean_dn=mean + self._shift, variance_dn2=squares / (n - 1) if n > 1 else nothing, sum_dn=self._sum,
                            sum_sq_dn2=self._sum_sq, shift_dn=self._shift, count=n)
         return Series(stack=stack, levels_dn=levels + self._shift, freedom=freedom, slope=slope,

@@ -166,9 +166,10 @@ def _quantities(ladder: Ladder, quiet: Series | None, gain: object) -> tuple[Qua
     value, error = ladder.level_rate or (None, None)
     out += gain.both("dark_rate_dn_per_s", "dark_current_e_per_s", value, error, "DN/s", "e-/s", symbol="mu_I",
                      source="slope of the mean dark level over exposure, EMVA 1288 R4 Linear, dark current", reason=reason)
-    at = ladder.series[0]
-    temporal = float(np.mean(ladder.variance_dn2[0])) / at.stack.count
-    when = f"at {ladder.exposure_s[0]:g} s" if ladder.exposure_s else "exposure unknown"
+    most = max(range(len(ladder.series)), key=lambda i: ladder.series[i].stack.count)  # the first, so the shortest, of equals
+    at = ladder.series[most]
+    temporal = float(np.mean(ladder.variance_dn2[most])) / at.stack.count
+    when = f"at {ladder.exposure_s[most]:g} s" if ladder.exposure_s else "exposure unknown"
     for kind, function, text in (("raw", spatial.spatial_raw, "no high-pass, all pixels"),
                                  ("1288", spatial.spatial_1288, "EMVA 1288 R4 Linear 8, high-passed, all pixels"),
                                  ("core", spatial.spatial_core, "high-passed, interquartile range")):
