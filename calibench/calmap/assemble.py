@@ -32,7 +32,8 @@ def assemble(measurements: Sequence[Measurement], base: CalibrationMap | None = 
 
     Layers replace those of the base by whole groups (LAYER_GROUPS); where two measurements bring the same layer, the
     later one counts and a warning says so. Defects are OR-ed: a flag that the base carries stays. A scalar layer that
-    is not finite counts as not measured; a pixel that is not finite takes its layer's median and the flag `unmeasured`.
+    is not finite counts as not measured, and so does an uncertainty without a finite pixel; elsewhere a pixel that is
+    not finite takes its layer's median and the flag `unmeasured`.
 
     Quantities are named "measurement.quantity", evidence "measurement/array", inputs "measurement/file", settings by
     measurement; warnings begin with "measurement: ". What the base holds of a measurement that is made anew is
@@ -42,7 +43,7 @@ def assemble(measurements: Sequence[Measurement], base: CalibrationMap | None = 
 
     Raises:
         BadInput: nothing to assemble, two measurements of one name, an unknown layer, a layer without a single finite
-            pixel, or a contradiction in image size, gain setting, bit depth or camera identity.
+            pixel, or a contradiction in image size, gain setting, bit depth or camera.
     """
     names = [m.name for m in measurements]
     if len(set(names)) < len(names):
@@ -98,6 +99,9 @@ def _layers(measurements: Sequence[Measurement], base: CalibrationMap | None) ->
                 continue
             if name in new:
                 warnings.append(f"{measurement.name}: its layer {name} replaces that of a measurement before it")
+            if "uncertainty" in name and not np.isfinite(value).any():
+                warnings.append(f"{measurement.name}: its {name} is unknown and was left out")
+                continue
             if name in IMAGE_LAYERS:
                 value, unmeasured = _filled(value, f"layer {name} of {measurement.name}")
                 if unmeasured.any():

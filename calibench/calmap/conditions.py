@@ -44,12 +44,12 @@ def merge_cameras(first: Camera, second: Camera) -> Camera:
 
 
 def merge_conditions(measurements: Sequence[Measurement], base: CalibrationMap | None) -> Conditions:
-    """The span of exposure, temperature and date over all, and the one gain setting and bit depth.
+    """The span of exposure, temperature and date over all, and the one gain setting, bit depth and camera.
 
     Measurements of geometry alone do not speak of bit depth: board views may be 8-bit where darks are 12-bit.
 
     Raises:
-        BadInput: gain settings or bit depths contradict.
+        BadInput: gain settings, bit depths or cameras contradict.
     """
     stated = {"the base map": dataclasses.asdict(base.conditions)} if base else {}
     stated |= {m.name: dict(m.provenance.conditions) for m in measurements}
@@ -61,6 +61,7 @@ def merge_conditions(measurements: Sequence[Measurement], base: CalibrationMap |
 
     return Conditions(
         exposure_s=span("exposure_s"), temperature_c=span("temperature_c"), date_obs=span("date_obs"),
+        camera=agreed("cameras", {name: c.get("camera") for name, c in stated.items()}),
         gain_setting=agreed("gain settings", {name: c.get("gain_setting") for name, c in stated.items()}),
         bit_depth=agreed("bit depths", {name: c.get("bit_depth") for name, c in stated.items()
                                         if name not in geometry_only}))
@@ -83,16 +84,16 @@ def outside_conditions(frame: Frame, calmap: CalibrationMap) -> tuple[str, ...]:
                 sentences.append(f"{what} {value:g} {unit} is outside the map's {span[0]:g} to {span[1]:g} {unit}")
     if None not in (frame.gain_setting, conditions.gain_setting) and frame.gain_setting != conditions.gain_setting:
         sentences.append(f"gain setting {frame.gain_setting:g} is not the map's {conditions.gain_setting:g}")
-    known_as = _known_as(calmap.camera)
-    if frame.camera and known_as and frame.camera.strip().casefold() not in known_as:
-        sentences.append(f"camera '{frame.camera}' is not the map's '{calmap.camera.name or calmap.camera.serial}'")
+    known_as = _known_as(calmap)
+    if frame.camera and known_as and frame.camera.strip().casefold() not in map(str.casefold, known_as):
+        sentences.append(f"camera '{frame.camera}' is not the map's: {', '.join(known_as)}")
     return tuple(sentences)
 
 
 def unchecked_conditions(frame: Frame, calmap: CalibrationMap) -> tuple[str, ...]:
     """One sentence for each condition that could not be compared, because the frame or the map does not state it."""
     conditions, sentences = calmap.conditions, []
-    if not frame.camera or not _known_as(calmap.camera):
+    if not frame.camera or not _known_as(calmap):
         silent = "the map" if frame.camera else "the frame"
         sentences.append(f"{silent} does not say which camera it belongs to: the identity was not checked")
     if conditions.gain_setting is not None and frame.gain_setting is None:
@@ -112,6 +113,6 @@ def _exposure_margins(conditions: Conditions) -> tuple[float, float]:
     return EXPOSURE_MARGIN * low, EXPOSURE_MARGIN * high
 
 
-def _known_as(camera: Camera) -> set[str]:
-    """The texts by which a frame may name this camera."""
-    return {text.strip().casefold() for text in (camera.name, camera.serial) if text}
+def _known_as(calmap: CalibrationMap) -> list[str]:
+    """The texts by which a frame may name the map's camera."""
+    return [text.strip() for text in (calmap.conditions.camera, calmap.camera.name, calmap.camera.serial) if text]

@@ -77,7 +77,7 @@ def _primary_header(meta: dict) -> fits.Header:
         ("DATE", meta["created"], ""),
         ("WIDTH", meta["image_size_px"][0], "[px] width of the frames"),
         ("HEIGHT", meta["image_size_px"][1], "[px] height of the frames"),
-        ("INSTRUME", camera["name"], ""),
+        ("INSTRUME", conditions["camera"] or camera["name"], ""),
         ("SERIAL", camera["serial"], ""),
         ("DETECTOR", camera["sensor"], ""),
         ("LENS", camera["lens"], ""),

@@ -47,13 +47,17 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """What the map was measured under, each a (minimum, maximum) or None where no frame said it."""
+    """What the map was measured under, each a (minimum, maximum) or None where no frame said it.
+
+    camera: how the frames themselves name the camera, which need not be the name that people gave it (`Camera.name`).
+    """
 
     exposure_s: tuple[float, float] | None = None
     temperature_c: tuple[float, float] | None = None
     gain_setting: float | None = None
     bit_depth: int | None = None
     date_obs: tuple[str, str] | None = None
+    camera: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

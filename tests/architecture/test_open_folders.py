@@ -18,7 +18,7 @@ CONTRACTS: dict[str, dict[str, tuple[str, ...] | type]] = {
     "calibench.spots.centroid": {"centroid": ("scene", "candidates")},
     "calibench.stars.identify": {"table_key": ("view",), "build": ("sky", "key"), "propose": ("view", "sky", "table")},
     "calibench.stars.attitude": {"attitude": ("camera", "sky", "weights")},
-    "calibench.validate.trials": {},
+    "calibench.validate.trials": {"trial": ("cases", "calmap")},
     "calibench.io.readers": {"read": ("raw", "file", "sidecar")},
     "calibench.io.exports": {"export": ("calmap", "path")},
     "calibench.report.sections": {},

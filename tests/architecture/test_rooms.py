@@ -179,8 +179,8 @@ def test_what_is_allowed_passes(root, tmp_path):
 
 def heavy_modules_after(code: str) -> list[str]:
     report = f"import sys; print('LOADED', *[m for m in {HEAVY} if m in sys.modules])"
-    run = subprocess.run([sys.executable, "-c", f"import atexit\natexit.register(lambda: exec({report!r}, {{}}))\n{code}"],
-                         capture_output=True, text=True)
+    script = f"import atexit\natexit.register(lambda: exec({report!r}, {{}}))\n{code}"
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     return run.stdout.splitlines()[-1].removeprefix("LOADED").split()
 

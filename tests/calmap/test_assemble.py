@@ -33,7 +33,7 @@ def dark(**changes) -> Measurement:
     defects = np.zeros(SHAPE, np.uint16)
     defects[0, 0] = DEFECT_FLAGS["hot"]
     conditions = {"exposure_s": (0.1, 2.0), "temperature_c": (20.0, 20.5), "gain_setting": 16.0, "bit_depth": 10,
-                  "date_obs": ("2024-01-01T00:00:00", "2024-01-01T00:10:00")}
+                  "date_obs": ("2024-01-01T00:00:00", "2024-01-01T00:10:00"), "camera": "MT9V022"}
     return Measurement(**{
         "name": "dark", "image_size_px": SIZE, "quantities": (Quantity(name="offset_dn", value=64.0, unit="DN"),),
         "maps": {"offset_dn": np.full(SHAPE, 64.0), "dark_rate_dn_per_s": np.full(SHAPE, 3.0), "defects": defects},
@@ -81,13 +81,15 @@ def test_conditions_are_the_span_of_all():
     conditions = assemble([dark(), flat(), lens()], **STAMP).conditions
     assert conditions.exposure_s == (0.05, 2.0) and conditions.temperature_c == (20.0, 21.0)
     assert conditions.gain_setting == 16.0 and conditions.date_obs == ("2024-01-01T00:00:00", "2024-01-01T00:10:00")
+    assert conditions.camera == "MT9V022"
     assert conditions.bit_depth == 10  # the 8-bit board views say nothing of the converter
 
 
 @pytest.mark.parametrize("other", [
     with_conditions(flat(), gain_setting=32.0), with_conditions(flat(), bit_depth=12),
+    with_conditions(lens(), camera="another"),
     Measurement(name="psf", image_size_px=(4, 4)),
-], ids=["gain", "bit depth", "size"])
+], ids=["gain", "bit depth", "camera", "size"])
 def test_contradictions_are_refused_and_say_who(other):
     with pytest.raises(BadInput, match=f"contradict: dark .*{other.name}"):
         assemble([dark(), other], **STAMP)
@@ -143,6 +145,13 @@ def test_pixels_that_are_not_finite_take_the_median_and_a_flag():
     calmap = assemble([dark(maps={"offset_dn": offset})], **STAMP)
     assert calmap.offset_dn[2, 3] == 64.0 and calmap.defects[2, 3] == DEFECT_FLAGS["unmeasured"]
     assert np.count_nonzero(calmap.defects) == 1 and "1 pixels of offset_dn" in calmap.warnings[-1]
+
+
+def test_an_uncertainty_that_nobody_knows_is_left_out_and_said():
+    # One frame at each exposure: an offset, but no scatter to judge it by.
+    maps = {"offset_dn": np.full(SHAPE, 64.0), "offset_uncertainty_dn": np.full(SHAPE, np.nan)}
+    calmap = assemble([dark(maps=maps)], **STAMP)
+    assert calmap.measured == {"offset_dn"} and "offset_uncertainty_dn" in calmap.warnings[-1]
 
 
 @pytest.mark.parametrize("measurements", [

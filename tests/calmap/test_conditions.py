@@ -47,6 +47,14 @@ def test_exposure_and_temperature_do_not_bind_a_map_without_dark():
     assert outside_conditions(frame, dark_map(layer="response")) == ()
 
 
+def test_the_camera_is_known_by_what_its_frames_call_it():
+    calmap = dark_map(conditions=Conditions(camera="MT9V022"), camera=Camera(name="the blue one"))
+    for name in ("mt9v022", "The Blue One"):
+        assert outside_conditions(frame_with(camera=name), calmap) == ()
+    assert "MT9V022" in outside_conditions(frame_with(camera="MT9V024"), calmap)[0]
+    assert unchecked_conditions(frame_with(), dark_map(conditions=Conditions(camera="x"), camera=Camera())) == ()
+
+
 def test_what_could_not_be_checked_becomes_a_warning_of_the_corrected_frame():
     frame = frame_with(camera=None, gain_setting=None, temperature_c=None)
     sentences = unchecked_conditions(frame, dark_map())

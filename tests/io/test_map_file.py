@@ -56,7 +56,7 @@ def full_map() -> CalibrationMap:
         defects=rng.choice(list(DEFECT_FLAGS.values()), (h, w)), gain_dn_per_e=0.103, saturation_dn=1023.0,
         intrinsics=lens, psf=psf, camera=Camera(name="Bänk camera", serial="007", pixel_size_um=6.0),
         conditions=Conditions(exposure_s=(0.01, 2.0), temperature_c=(19.5, 21.0), gain_setting=16.0, bit_depth=10,
-                              date_obs=("2024-01-01T00:00:00", "2024-01-01T01:00:00")),
+                              date_obs=("2024-01-01T00:00:00", "2024-01-01T01:00:00"), camera="MT9V022"),
         quantities={"dark.read_noise_e": Quantity(name="read_noise_e", value=4.5, unit="e-", symbol="σ_d",
                                                   uncertainty=0.1, source="EMVA 1288 R4.0 Linear, 6.6"),
                     "dark.dsnu_1288_e": Quantity(name="dsnu_1288_e", value=None, unit="e-",
@@ -132,6 +132,7 @@ def test_a_plain_fits_reader_understands_the_file(map_path, full_map):
         assert list(hdus["INPUTS"].data["FILE"]) == ["dark/d1.png"]
         assert json.loads(hdus["METADATA"].data["JSON"][0])["camera"]["name"] == full_map.camera.name
         assert hdus[0].header["EXPMAX"] == 2.0 and hdus[0].header["DATE"] == full_map.created
+        assert hdus[0].header["INSTRUME"] == "MT9V022"
 
 
 def test_map_info_has_the_agreed_names(map_path):
