@@ -31,6 +31,6 @@ def gain(points: list[TransferPoint]) -> tuple[float, float, str]:
     line = solver @ variance
     residual = variance - line[0] * signal - (line[1] if free else 0)
     freedom = len(points) - len(line)
-    chi = np.sqrt(np.sum((residual / error) ** 2) / freedom) if freedom else 1.0
+    scatter = np.sqrt(np.sum(residual**2) / freedom) if freedom else 0.0
     how = f"slope over {len(points)} levels, free offset" if free else f"ratio at {len(points)} level{'s'[: len(points) - 1]}"
-    return float(line[0]), float(np.linalg.norm(solver[0] * error) * max(1.0, chi)), how
+    return float(line[0]), float(np.linalg.norm(solver[0] * np.maximum(error, scatter))), how
