@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from .camera import SimulatedCamera
 
-# A hot pixel is darker-current than the median by at least this, a warm one by less (the classes' definition).
+# Excess of the dark rate over the median from which a pixel is hot (the class's definition); a warm one has less.
 HOT_FROM_E_PER_S = 20.0
 _WARM_FROM_E_PER_S = 8.0
 
