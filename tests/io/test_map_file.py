@@ -101,6 +101,8 @@ def test_evidence_keeps_its_dtype_and_shape(map_path, key):
 def test_the_same_map_gives_the_same_bytes(full_map, map_path):
     assert encode_map(full_map) == map_path.read_bytes()
     assert encode_map(read_map(map_path)) == map_path.read_bytes()
+    with fits.open(map_path) as hdus:  # the FITS library would put the time of writing there
+        assert len({hdu.header.comments[card] for hdu in hdus for card in ("CHECKSUM", "DATASUM")}) == 1
 
 
 def test_only_measured_layers_are_stored(tmp_path):
