@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import io
-import json
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import BadInput, UsageError
 from .atomic import write_bytes
+from .toml_text import dumps
 
 IMAGETYP = {"dark": "Dark Frame", "flat": "Flat Field", "light": "Light Frame"}
 FITS_SUFFIXES = (".fits", ".fit", ".fts")
@@ -37,11 +37,11 @@ def write_frame(path: Path, data: np.ndarray, *, kind: str, exposure_s: float, g
             "egain_e_per_dn": egain_e_per_dn, "bit_depth": bit_depth, "black_level_dn": black_level_dn,
             "white_level_dn": white_level_dn, "bayer_pattern": bayer_pattern, "pixel_size_um": pixel_size_um,
             "date_obs": date_obs, "camera": camera}
-    said = {name: value for name, value in said.items() if value is not None}
+    said = {k: v.item() if isinstance(v, np.generic) else v for k, v in said.items() if v is not None}
     suffix = path.suffix.lower()
     if suffix == ".png":
         # The sidecar goes first: a frame without its metadata would be read as something else.
-        write_bytes(path.with_name(path.name + ".toml"), _toml(said).encode())
+        write_bytes(path.with_name(path.name + ".toml"), dumps(said).encode())
         write_bytes(path, _png(data))
     elif suffix in FITS_SUFFIXES:
         write_bytes(path, _fits(data, said))
@@ -67,11 +67,3 @@ def _fits(data: np.ndarray, said: dict[str, object]) -> bytes:
     stream = io.BytesIO()
     fits.PrimaryHDU(data, header).writeto(stream, checksum=True)
     return stream.getvalue()
-
-
-def _toml(said: dict[str, object]) -> str:
-    def text(value: object) -> str:
-        # A JSON string is a TOML basic string, but for DEL, which no camera name holds.
-        return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
-    return "".join(f"{name} = {text(value.item() if isinstance(value, np.generic) else value)}\n"
-                   for name, value in said.items())

@@ -1,0 +1,1 @@
+"""From a protocol file to a shot list, a run, a map and a report."""

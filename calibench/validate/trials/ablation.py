@@ -107,9 +107,8 @@ def trial(cases: Sequence[SkyCase], calmap: CalibrationMap, finders: Callable[[S
         rows.append((name, len(cases), solved, one.wrong if known else None, one.matches, _finite(one.residual_px),
                      _finite(figure(one)), _finite(one.roll_error_arcsec) if known else None, earned))
     against = "against truth" if known else "residual of the matched stars (no truth is known)"
-    return Trial(name="ablation", columns=COLUMNS, rows=tuple(rows),
-                 reading=f"error of the image's centre, rms over solved frames, {against}; a layer earned what leaving it out costs"
-                 ), tried
+    reading = f"error of the image's centre, rms over solved frames, {against}; a layer earned what leaving it out costs"
+    return Trial(name="ablation", columns=COLUMNS, rows=tuple(rows), reading=reading), tried
 
 
 def _finite(value: float) -> float | None:

@@ -1,0 +1,99 @@
+"""One command for each measurement: intrinsics, dark, flat, psf."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import UsageError
+from .output import Json, number, print_json, progress, say, table
+
+Frames = Annotated[list[Path], typer.Argument(metavar="FRAMES...", help="Frame files and folders of frames.")]
+Map = Annotated[Path | None, typer.Option("--map", help="A calibration map to use.")]
+MapOut = Annotated[Path | None, typer.Option("--map-out", help="Write a map: the new layers on a copy of --map, if given.")]
+
+
+def intrinsics(frames: Frames,
+               board: Annotated[str, typer.Option(help="Inner corners, columns x rows, like 9x6.")],
+               square_mm: Annotated[float, typer.Option(help="Side of one square, mm.")],
+               model: Annotated[str | None, typer.Option(help="Lens model; without it, chosen by held-out error.")] = None,
+               map_: Map = None, map_out: MapOut = None, json_: Json = False) -> None:
+    """Lens and camera matrix from views of a flat checkerboard."""
+    from ..records import DISTORTION_NAMES
+    if model is not None and model not in DISTORTION_NAMES:
+        raise UsageError(f"no lens model '{model}'", mend=f"choose one of: {', '.join(DISTORTION_NAMES)}")
+    _measure("intrinsics", "light", frames, {"board": board_size(board), "square_mm": square_mm, "model": model},
+             map_, map_out, json_)
+
+
+def dark(frames: Frames, map_: Map = None, map_out: MapOut = None,
+         hot_rate: Annotated[float, typer.Option(help="Dark rate above the local median that makes a pixel hot, e-/s "
+                                                      "(DN/s where the gain is unknown).")] = 20.0,
+         json_: Json = False) -> None:
+    """Offset, dark current, read noise and hot pixels from capped frames."""
+    _measure("dark", "dark", frames, {"hot_rate_per_s": hot_rate}, map_, map_out, json_)
+
+
+def flat(frames: Frames, map_: Map = None, map_out: MapOut = None, json_: Json = False) -> None:
+    """Pixel response, illumination and gain from evenly lit frames (with darks among them, or in the map)."""
+    _measure("flat", "flat", frames, {}, map_, map_out, json_)
+
+
+def psf(frames: Frames, map_: Map = None, map_out: MapOut = None, json_: Json = False) -> None:
+    """The point spread function over the field from frames of pinhole spots."""
+    _measure("psf", "light", frames, {}, map_, map_out, json_)
+
+
+COMMANDS = (intrinsics, dark, flat, psf)
+
+
+def board_size(text: str) -> tuple[int, int]:
+    """"9x6" -> (9, 6).
+
+    Raises:
+        UsageError: not of that form.
+    """
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(p.isdigit() for p in parts):
+        raise UsageError(f"--board {text}: not a board size", mend="inner corners, columns x rows, like --board 9x6")
+    return int(parts[0]), int(parts[1])
+
+
+def _measure(name: str, kind: str, arguments: list[Path], settings: dict, map_: Path | None, map_out: Path | None,
+             as_json: bool) -> None:
+    from ..io.frames import find_frames
+    from ..io.map_file import read_map, write_map
+    from ..session.measuring import into_map, measure
+    from ..session.reading import read_arguments
+    from ..session.results import measurement_json
+    calmap = read_map(map_) if map_ else None
+    paths = find_frames(arguments)
+    with progress() as tell:
+        frames, rejected = read_arguments(arguments, paths, kind, lambda done: tell("read frames", done, len(paths)))
+        tell(f"measure {name}", 0, 1)
+        measurement = measure(name, frames, calmap, settings)
+    if map_out:
+        write_map(map_out, into_map([measurement], calmap))
+    values = measurement_json(measurement)
+    values["frames_rejected"] = [{"file": f, "reason": r} for f, r in rejected] + values["frames_rejected"]
+    values["map_written"] = str(map_out) if map_out else None
+    print_json(values) if as_json else _print(values)
+
+
+def _print(values: dict) -> None:
+    rows = [(n, q["value"] if q["value"] is not None else "-", q["uncertainty"], q["unit"], q.get("reason", ""))
+            for n, q in values["quantities"].items()]
+    print(table(("quantity", "value", "1 sigma", "unit", "remark"), [(n, number(v, 6), number(u, 2), x, r)
+                                                                     for n, v, u, x, r in rows]))
+    defects = {k: v for k, v in values.get("defects", {}).items() if v}
+    if "defects" in values:
+        print("\ndefective pixels: " + (", ".join(f"{v} {k}" for k, v in defects.items()) or "none"))
+    print(f"\nframes used: {values['frames_used']}")
+    for entry in values["frames_rejected"]:
+        say(f"left out {entry['file']}: {entry['reason']}")
+    for warning in values["warnings"]:
+        say(f"warning: {warning}")
+    if values["map_written"]:
+        say(f"map written: {values['map_written']}")

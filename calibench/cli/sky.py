@@ -1,0 +1,118 @@
+"""solve: frames to attitude. validate: what each layer of a map earns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import BadInput, UsageError
+from .measuring import Frames, Map
+from .output import Json, number, print_json, progress, say, table
+
+Identify = Annotated[str, typer.Option(help="Identification method.")]
+AttitudeName = Annotated[str, typer.Option("--attitude", help="Attitude method.")]
+Detector = Annotated[str, typer.Option(help="Spot detector.")]
+Centroid = Annotated[str, typer.Option(help="Centroid method.")]
+KSigma = Annotated[float, typer.Option(help="Detection threshold in sigma of the local noise.", min=1.0)]
+
+
+def solve(frames: Frames, map_: Map = None,
+          fov_deg: Annotated[float | None, typer.Option(help="Horizontal field, degrees, about; for a lens without a map.",
+                                                        min=0.5, max=120)] = None,
+          identify: Identify = "pattern", attitude: AttitudeName = "quest", detector: Detector = "components",
+          centroid: Centroid = "gaussian", k_sigma: KSigma = 5.0, json_: Json = False) -> None:
+    """Where each frame looks: spots, star identification, attitude."""
+    import math
+
+    from ..io.frames import find_frames
+    from ..io.map_file import read_map
+    from ..session.results import solved_json
+    from ..session.sky import Sky, solve_files
+    settings = _settings(detector, centroid, attitude, identify, k_sigma)
+    calmap = read_map(map_) if map_ else None
+    paths = find_frames(frames)
+    lens_known = calmap is not None and "intrinsics" in calmap.measured
+    _check_scale(identify, lens_known or fov_deg is not None)
+    if lens_known and fov_deg is not None:
+        say("the map's lens is used; --fov-deg is not needed and was not used")
+    sky, out = Sky(method=identify), []
+    with progress() as tell:
+        for i, solved in enumerate(solve_files(paths, sky, calmap, fov_rad=math.radians(fov_deg) if fov_deg else None,
+                                               settings=settings)):
+            tell("solve", i + 1, len(paths))
+            stars = sky.finder(solved.frame.date_obs).sky.table
+            out.append(solved_json(solved, calmap, (stars.hip, stars.hp_mag)))
+    if json_:
+        print_json({"frames": out, "map": str(map_) if map_ else None, "identify": identify, "attitude": attitude})
+    else:
+        _print_frames(out)
+    raise typer.Exit(0 if all(frame["status"] == "solved" for frame in out) else 1)
+
+
+def _settings(detector: str, centroid: str, attitude: str, identify: str, k_sigma: float) -> dict:
+    """Checked before any frame is read: a mistyped method is a usage error at once."""
+    from .. import registry
+    for folder, name in (("spots.detect", detector), ("spots.centroid", centroid), ("stars.attitude", attitude),
+                         ("stars.identify", identify)):
+        registry.load(f"calibench.{folder}", name)
+    return {"detector": detector, "centroider": centroid, "attitude_method": attitude, "k_sigma": k_sigma}
+
+
+def _check_scale(identify: str, scale_known: bool) -> None:
+    from .. import registry
+    if registry.load("calibench.stars.identify", identify).NEEDS_SCALE and not scale_known:
+        raise UsageError(f"identifier '{identify}' works with absolute angles and needs to know the lens",
+                         mend="give a map with intrinsics (--map), or about the field (--fov-deg), or --identify pattern")
+
+
+def _print_frames(frames: list[dict]) -> None:
+    rows = [(Path(f["file"]).name, f["status"], number(f["ra_deg"], 8), number(f["dec_deg"], 7), number(f["roll_deg"], 7),
+             number(f["fov_deg"], 5), f"{f['matches']}/{f['spots']}", number(f["residual_rms_px"], 3),
+             number(f["sigma_cross_arcsec"], 3), number(f["sigma_roll_arcsec"], 3), number(f["false_match_probability"], 1))
+            for f in frames]
+    print(table(("file", "status", "ra deg", "dec deg", "roll deg", "fov deg", "matched", "rms px", "cross \"", "roll \"",
+                 "odds"), rows))
+    for frame in frames:
+        for note in ([frame["reason"]] if frame["reason"] else []) + frame["warnings"]:
+            say(f"{Path(frame['file']).name}: {note}")
+
+
+def validate(frames: Frames,
+             map_: Annotated[Path, typer.Option("--map", help="The calibration map to take apart.")],
+             truth: Annotated[Path | None, typer.Option(help="truth.toml of a rendered session; without it the residual of the "
+                                                             "matched stars is the measure.")] = None,
+             trial: Annotated[str, typer.Option(help="Which trial.")] = "ablation", identify: Identify = "pattern",
+             attitude: AttitudeName = "quest", detector: Detector = "components", centroid: Centroid = "gaussian",
+             k_sigma: KSigma = 5.0, json_: Json = False) -> None:
+    """What each layer of a map earns, in arcseconds, on sky frames."""
+    from .. import registry
+    from ..io.frames import find_frames, read_frame
+    from ..io.map_file import read_map
+    from ..session.render import load_truth, sky_truth
+    from ..session.results import trial_json
+    from ..session.sky import Sky
+    from ..validate.case import SkyCase
+    settings = _settings(detector, centroid, attitude, identify, k_sigma)
+    module = registry.load("calibench.validate.trials", trial)
+    calmap, sky = read_map(map_), Sky(method=identify)
+    _check_scale(identify, "intrinsics" in calmap.measured)
+    tables = load_truth(truth) if truth else {}
+    cases = [SkyCase(frame=frame, truth=sky_truth(tables, frame.name))
+             for frame in (read_frame(path, "light") for path in find_frames(frames))]
+    if truth and any(case.truth is None for case in cases):
+        lacking = [case.frame.name for case in cases if case.truth is None]
+        raise BadInput(f"no truth is given for {', '.join(lacking)}", file=truth, mend="leave these frames out, or --truth")
+    with progress() as tell:
+        count = iter(range(1, 10**9))
+        found, _ = module.trial(cases, calmap, lambda case: sky.finder(case.frame.date_obs), settings,
+                                lambda: tell("solve", next(count), len(cases)))
+    if json_:
+        print_json(trial_json(found) | {"map": str(map_)})
+    else:
+        print(table(found.columns, found.rows))
+        print(f"\n{found.reading}")
+
+
+COMMANDS = (solve, validate)

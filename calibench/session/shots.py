@@ -1,0 +1,82 @@
+"""Shots: what the protocol asks for against what lies in the session's folders."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import BadInput
+from ..io.frames import find_frames, read_frame
+from ..io.series_checks import check_series
+from ..records import Frame
+from ..report.story import ShotStory
+from .places import SESSION_FILE
+from .protocol import Protocol, Shot, load_protocol
+
+WRONG_KIND = "states that it is a {stated} frame, but lies among the {shot} ({wanted} frames): are the folders swapped?"
+
+
+def open_session(folder: Path) -> tuple[Protocol, str]:
+    """The protocol of a session folder (or of a protocol file) and its sha256.
+
+    Raises:
+        BadInput: no such folder, or no session.toml in it.
+    """
+    folder = Path(folder)
+    if folder.is_dir() and not (folder / SESSION_FILE).is_file():
+        raise BadInput(f"there is no {SESSION_FILE} in this folder", file=folder, mend=f"calibench new {folder}")
+    if not folder.exists():
+        raise BadInput("there is no such session folder", file=folder, mend=f"make one: calibench new {folder}")
+    return load_protocol(folder / SESSION_FILE if folder.is_dir() else folder)
+
+
+def shot_files(session: Path, shot: Shot) -> tuple[Path, ...]:
+    """Frame files of one shot; none where the folder is missing or empty.
+
+    Raises:
+        BadInput: the folder leads (by a link) out of the session.
+    """
+    folder = (session / shot.folder).resolve()
+    if not folder.is_relative_to(session.resolve()):
+        raise BadInput("this folder leads out of the session", file=session / shot.folder,
+                       mend="copy the frames into the session")
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return ()
+    return find_frames([session / shot.folder])
+
+
+def read_shot(session: Path, shot: Shot) -> tuple[list[Frame], list[tuple[str, str]]]:
+    """Frames of one shot and, by name, those that could not be used and why.
+
+    A frame that cannot be read, or states another kind, is left out and said; the session goes on if enough are left.
+
+    Raises:
+        BadInput: the frames that are left do not belong together (sizes, depths, gains, automatic exposure).
+    """
+    frames, rejected = [], []
+    for path in shot_files(session, shot):
+        try:
+            frame = read_frame(path, shot.kind)
+        except BadInput as fault:
+            rejected.append((path.name, fault.what))
+            continue
+        if frame.kind != shot.kind:
+            rejected.append((path.name, WRONG_KIND.format(stated=frame.kind, shot=shot.name, wanted=shot.kind)))
+        else:
+            frames.append(frame)
+    return (check_series(frames) if frames else []), rejected
+
+
+def judge_shot(shot: Shot, frames: list[Frame], rejected: list[tuple[str, str]]) -> ShotStory:
+    """What the protocol's author would say of these frames."""
+    remarks = [f"{name}: {why}" for name, why in rejected]
+    exposures = {frame.exposure_s for frame in frames}
+    enough = len(frames) >= shot.frames and len(exposures) >= shot.exposures
+    if len(frames) < shot.frames:
+        remarks.append(f"{len(frames)} of {shot.frames} frames")
+    if len(exposures) < shot.exposures and frames:
+        remarks.append(f"{len(exposures)} of {shot.exposures} different exposures")
+    notes = {note for frame in frames for note in frame.notes}
+    remarks += sorted(notes)
+    status = "pass" if enough else "skipped" if shot.optional and not frames else "fail"
+    return ShotStory(name=shot.name, folder=shot.folder, what=shot.what, why=shot.why, wanted=shot.frames, found=len(frames),
+                     status=status, remarks=tuple(remarks))
