@@ -34,7 +34,7 @@ class Gain:
 def known_gain(calmap: CalibrationMap | None, frame: Frame) -> Gain:
     """The map's gain if it was measured, else the frame's EGAIN, else unknown."""
     if calmap is not None and "gain_dn_per_e" in calmap.measured:
-        figure = calmap.quantities.get("gain_dn_per_e") or calmap.quantities.get("flat.gain_dn_per_e")
+        figure = calmap.quantities.get("flat.gain_dn_per_e")
         return Gain(dn_per_e=calmap.gain_dn_per_e, uncertainty=(figure and figure.uncertainty) or 0.0, origin="the map")
     if frame.egain_e_per_dn:
         return Gain(dn_per_e=1 / frame.egain_e_per_dn, origin="EGAIN in the frames")

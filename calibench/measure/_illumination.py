@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.polynomial.polynomial import polygrid2d
 
 from ..spots.psf import field_terms
 from ._defects import block_statistic, planes
@@ -25,10 +26,10 @@ def illumination(signal_dn: np.ndarray, bayer_pattern: str | None) -> np.ndarray
     grid = np.stack(np.meshgrid((x[1:] + x[:-1] - 1) / 2, (y[1:] + y[:-1] - 1) / 2), -1).reshape(-1, 2)
     degree = min(DEGREE, int(np.sqrt(values.size)) // 3)
     coefficients = _robust_fit(field_terms(grid, (w, h), degree), values.ravel())
-    columns, rows = np.meshgrid(np.arange(w), np.arange(h))
-    smooth = np.empty((h, w))
-    for row in range(h):  # row by row: the terms of a whole image would take 28 times its memory
-        smooth[row] = field_terms(np.stack([columns[row], rows[row]], -1), (w, h), degree) @ coefficients
+    powers = np.zeros((degree + 1, degree + 1))  # of u, v: the terms of a whole image would take 28 times its memory
+    order = [(total - v, v) for total in range(degree + 1) for v in range(total + 1)]
+    powers[tuple(np.transpose(order))] = coefficients
+    smooth = polygrid2d(np.linspace(-1, 1, w), np.linspace(-1, 1, h), powers).T
     return smooth / smooth.max()
 
 

@@ -211,9 +211,8 @@ def _warnings(ledger: Ledger, ladder: Ladder) -> tuple[str, ...]:
     if not ladder.noise_known:
         out.append("one frame an exposure: temporal noise unknown, defects judged by the scatter over the image")
     for series, t in zip(ladder.series, ladder.exposure_s or (None,), strict=True):
-        run = np.ptp(series.levels_dn)
-        if run > max(0.5, 0.25 * float(np.sqrt(np.nanmedian(series.stack.variance_dn2)))):
-            low, high = series.levels_dn.min(), series.levels_dn.max()
+        low, high = series.levels_dn.min(), series.levels_dn.max()
+        if high - low > max(0.5, 0.25 * float(np.sqrt(np.median(ladder.variance_dn2[0])))):
             which = "frames" if t is None else f"frames of {t:g} s"
             out.append(f"the level drifts from {low:.1f} to {high:.1f} DN over the {which}")
     return tuple(out)
