@@ -1,0 +1,126 @@
+"""Figures of a lens: its distortion over the field and along a radius, and how uncertain its projection is at infinity."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ...geometry import projection, rotation
+from ...records import DISTORTION_NAMES, Intrinsics
+from ..draw import BLUE, FAINT, GREY, HALF, WIDE, grid_px, png, sensor_field, sheet
+from ..numbers import number
+from ..section import Figure
+
+FIELD = (48, 32)  # samples over the image, columns and rows
+ARROWS = (16, 10)
+DECENTRING = ("p1", "p2")
+
+
+def figures(lens: Intrinsics) -> list[Figure]:
+    """All figures of the lens; those of the distortion only for a model that has any, those of errors only where known."""
+    known = bool(np.isfinite(lens.covariance).all() and np.diag(lens.covariance).any())
+    distorted = len(lens.distortion) > 0
+    return ([_field(lens), _radial_curve(lens, known)] if distorted else []) + ([_uncertainty(lens)] if known else [])
+
+
+def _ideal_rays(lens: Intrinsics, xy_px: np.ndarray) -> np.ndarray:
+    """(N, 3) directions that a lens without distortion would put on these pixels."""
+    x = (xy_px[:, 0] - lens.cx_px) / lens.fx_px
+    return np.column_stack([-x if lens.mirrored else x, (xy_px[:, 1] - lens.cy_px) / lens.fy_px, np.ones(len(xy_px))])
+
+
+def _parts(lens: Intrinsics, xy_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement (N, 2) px of ideal pixels by the radial terms, and by the decentring terms; NaN beyond the fold."""
+    rays = _ideal_rays(lens, xy_px)
+    straight = np.where(np.isin(DISTORTION_NAMES[lens.model], DECENTRING), 0.0, lens.distortion)
+    radial = projection.project(dataclasses.replace(lens, distortion=straight), rays)
+    return radial - xy_px, projection.project(lens, rays) - radial
+
+
+def _field(lens: Intrinsics) -> Figure:
+    made, both = sheet(WIDE, 2)
+    fine, coarse = grid_px(lens.image_size_px, *FIELD), grid_px(lens.image_size_px, *ARROWS, inset_px=lens.image_size_px[0] / 30)
+    names = [name for name in DISTORTION_NAMES[lens.model] if name not in DECENTRING]
+    said = []
+    parts = zip(both, _parts(lens, fine), _parts(lens, coarse), (f"radial terms ({', '.join(names)})", "tangential terms (p1, p2)"),
+                strict=True)
+    for axes, shift, arrows, title in parts:
+        size = np.hypot(*shift.T)
+        largest = int(np.nanargmax(size))
+        sensor_field(axes, size.reshape(FIELD[::-1]), lens.image_size_px, "displacement (px)", title=title)
+        axes.quiver(*coarse.T, *arrows.T, angles="xy", color="white", width=0.0028, pivot="tail")
+        axes.plot(lens.cx_px, lens.cy_px, "+", color="white", markersize=9)
+        said.append(f"{title} up to {number(float(size[largest]), 3)} px, at pixel ({fine[largest, 0]:.0f}, {fine[largest, 1]:.0f})")
+    return Figure(title="Distortion: where the lens puts an ideal pixel", png=png(made), wide=True,
+                  reading=f"{'; '.join(said)}. Arrows show the direction, each panel on its own scale; the cross is the principal point.")
+
+
+def _radial_curve(lens: Intrinsics, known: bool) -> Figure:
+    """Displacement along a radius by the radial terms, with the error that their covariance gives."""
+    w, h = lens.image_size_px
+    corners = np.array([[0, 0], [w - 1, 0], [0, h - 1], [w - 1, h - 1]]) - [lens.cx_px, lens.cy_px]
+    largest = min(float(np.hypot(*(corners / [lens.fx_px, lens.fy_px]).T).max()), 0.999 * projection.fold_radius(lens))
+    tangent = np.linspace(0, largest, 121)
+    angle = np.degrees(np.arctan(tangent))
+    names = DISTORTION_NAMES[lens.model]
+    straight = dataclasses.replace(lens, mirrored=False, distortion=np.where(np.isin(names, DECENTRING), 0.0, lens.distortion))
+    rays = np.column_stack([tangent, np.zeros_like(tangent), np.ones_like(tangent)])
+    xy, _, by_parameter = projection.project_with_jacobian(straight, rays)
+    shift = xy[:, 0] - lens.cx_px - lens.fx_px * tangent
+    terms = [i for i, name in enumerate(lens.parameter_names) if name in names and name not in DECENTRING]
+    slope = by_parameter[:, 0, terms]
+    error = np.sqrt(np.einsum("ni,ij,nj->n", slope, lens.covariance[np.ix_(terms, terms)], slope)) if known else None
+    made, (axes,) = sheet(HALF)
+    axes.axhline(0, color=GREY, linewidth=0.7)
+    if error is not None:
+        axes.fill_between(angle, shift - 3 * error, shift + 3 * error, color=BLUE, alpha=0.16, linewidth=0, label="±3σ")
+        axes.fill_between(angle, shift - error, shift + error, color=BLUE, alpha=0.3, linewidth=0, label="±1σ")
+    axes.plot(angle, shift, color=BLUE, label="radial displacement")
+    half_width = float(np.degrees(np.arctan(w / 2 / lens.fx_px)))
+    axes.axvline(half_width, color=GREY, linestyle=":", linewidth=1, label="edge at mid height")
+    axes.grid(color=FAINT)
+    axes.set(xlabel="field angle from the optical axis (degrees)", ylabel="displacement from ideal (px)", xlim=(0, angle[-1]))
+    axes.legend(loc="best")
+    kind = "barrel (inwards)" if shift[-1] < 0 else "pincushion (outwards)"
+    spread = f" ± {number(float(error[-1]), 2)} (1σ)" if error is not None else ""
+    return Figure(title="Radial distortion against field angle", png=png(made),
+                  reading=f"{kind}: {number(float(shift[-1]), 3)} px{spread} at {angle[-1]:.1f} degrees, "
+                          f"{number(float(100 * shift[-1] / (lens.fx_px * tangent[-1])), 3)} % of the radius there.")
+
+
+def projection_sd_px(lens: Intrinsics, xy_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """1-sigma (N,) px, rms of both axes, of the projection of stars: as the covariance gives it, and with the turn of the camera
+    that fits the field best taken out, since an attitude fitted to the same stars takes it up."""
+    rays = _ideal_rays(lens, xy_px)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    _, by_ray, by_parameter = projection.project_with_jacobian(lens, rays)
+    seen = np.isfinite(by_ray).all((1, 2))
+    by_turn = (by_ray @ -rotation.skew(rays))[seen].reshape(-1, 3)
+    flat = by_parameter[seen].reshape(len(by_turn), -1)
+    rest = flat - by_turn @ np.linalg.lstsq(by_turn, flat, rcond=None)[0]
+
+    def sd(slope: np.ndarray) -> np.ndarray:
+        out = np.full(len(xy_px), np.nan)
+        variance = np.einsum("ki,ij,kj->k", slope, lens.covariance, slope).reshape(-1, 2)
+        out[seen] = np.sqrt(variance.sum(1) / 2)
+        return out
+    return sd(flat), sd(rest)
+
+
+def _uncertainty(lens: Intrinsics) -> Figure:
+    made, both = sheet(WIDE, 2)
+    arcsec_per_px = float(np.degrees(1 / lens.fx_px)) * 3600
+    said = []
+    titles = ("all of it", "after the best common turn of the camera")
+    for axes, sd, title in zip(both, projection_sd_px(lens, grid_px(lens.image_size_px, *FIELD)), titles, strict=True):
+        field = sd.reshape(FIELD[::-1])
+        sensor_field(axes, field, lens.image_size_px, "1σ of the projection, each axis (px)", title=title, cmap="cividis")
+        x, y = grid_px(lens.image_size_px, *FIELD).T.reshape(2, *FIELD[::-1])
+        lines = axes.contour(x, y, field, levels=5, colors="white", linewidths=0.6)
+        axes.clabel(lines, fontsize=7, fmt="%.3g")
+        middle, worst = float(np.nanmedian(sd)), float(np.nanmax(sd))
+        said.append(f"{title}: median {number(middle, 2)} px ({number(middle * arcsec_per_px, 2)} arcsec), worst "
+                    f"{number(worst, 2)} px ({number(worst * arcsec_per_px, 2)} arcsec)")
+    return Figure(title="Uncertainty of the projection of stars (at infinity), 1σ", png=png(made), wide=True,
+                  reading="; ".join(said) + ". What a common turn takes up goes into the attitude, the rest into every star.")

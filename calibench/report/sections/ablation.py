@@ -1,0 +1,64 @@
+"""Ablation: what each layer of the map earned on the sky frames."""
+
+from __future__ import annotations
+
+from ..draw import BLUE, FAINT, GREY, INK, ORANGE, WIDE, png, sheet
+from ..numbers import MISSING, number
+from ..section import Figure, Section, Table
+from ..story import Story
+
+ORDER = 70
+TITLE = "What each layer earned"
+UNITS = ("_px", "_arcsec")
+
+
+def render(story: Story) -> Section | None:
+    trial = story.ablation
+    if trial is None or not trial.rows:
+        return None
+    heads = tuple(_head(column) for column in trial.columns)
+    rows = tuple(tuple(_cell(value) for value in row) for row in trial.rows)
+    table = Table(title="The same frames solved with parts of the map", columns=heads, rows=rows, numbers=frozenset(heads[1:]),
+                  note="earned: error without the layer minus error with the whole map; negative: the layer does harm here.")
+    figure = _earned(trial.columns, trial.rows)
+    return Section(paragraphs=(f"{trial.reading[:1].upper()}{trial.reading[1:]}.",), tables=(table,),
+                   figures=(figure,) if figure else ())
+
+
+def _head(column: str) -> str:
+    unit = next((unit for unit in UNITS if column.endswith(unit)), "")
+    name = column.removesuffix(unit).replace("_", " ")
+    return f"{name} ({unit[1:]})" if unit else name
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, str):
+        return value
+    return MISSING if value is None else number(value, 4)
+
+
+def _earned(columns: tuple[str, ...], rows: tuple[tuple, ...]) -> Figure | None:
+    """Bars of arcseconds earned; None where nothing was (no frame solved both ways)."""
+    at = columns.index("earned_arcsec")
+    earned = sorted(((row[0], row[at]) for row in rows if row[at] is not None), key=lambda pair: pair[1])
+    if not earned:
+        return None
+    made, (axes,) = sheet((WIDE[0], 1.2 + 0.32 * len(earned)))
+    values = [value for _, value in earned]
+    bars = axes.barh(range(len(earned)), values, color=[BLUE if v >= 0 else ORANGE for v in values],
+                     hatch=["" if v >= 0 else "///" for v in values], edgecolor="white", height=0.62)
+    axes.bar_label(bars, labels=[f"{number(v, 3)}" for v in values], padding=4, color=INK)
+    axes.set_yticks(range(len(earned)), [name for name, _ in earned])
+    axes.axvline(0, color=GREY, linewidth=0.8)
+    axes.grid(axis="x", color=FAINT)
+    axes.margins(x=0.12)
+    largest = max(abs(v) for v in values)
+    axes.set_xscale("symlog", linthresh=max(min(1.0, largest), 1e-3))
+    axes.set_xlabel("earned by having it: rise of the error when it is left out (arcsec; linear below 1, logarithmic above)")
+    best, worst = earned[-1], earned[0]
+    single = [pair for pair in earned if pair[0].startswith("without ")]
+    reading = (f"The layer that earns most is {single[-1][0].removeprefix('without ')}: {number(single[-1][1], 3)} arcsec. "
+               if single else f"{best[0]}: {number(best[1], 3)} arcsec. ")
+    harm = [name.removeprefix("without ") for name, value in single if value < 0]
+    reading += f"Left out, {' and '.join(harm)} would lower the error (worst {number(worst[1], 2)} arcsec)." if harm else "No layer does harm."
+    return Figure(title="Arcseconds earned by each layer", png=png(made), reading=reading, wide=True)
