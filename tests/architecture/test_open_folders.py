@@ -10,7 +10,7 @@ import pytest
 from calibench import registry
 from calibench.errors import UsageError
 
-# Open folder -> what each of its modules offers: a function with the names of its first parameters, or a value of a type.
+# Open folder -> what each of its modules offers: a function by its first parameters, or a value of a type.
 CONTRACTS: dict[str, dict[str, tuple[str, ...] | type]] = {
     "calibench.measure": {"measure": ("frames", "settings", "calmap"), "Settings": type},
     "calibench.spots.detect": {"detect": ("signal_dn", "noise_dn", "unusable", "k_sigma")},
