@@ -115,7 +115,8 @@ def render_board(camera: SimulatedCamera, board: Board, pose: BoardPose, *, whit
 
     Each pixel's ray is met with the board's plane, and there the pattern is taken as a Gaussian sees it, in closed form:
     optical blur of blur_sigma_px, and the pixel's square as 1/12 px^2 more variance, which is its integral to 3e-4 of the
-    contrast (the square's fourth cumulant, 1/120 px^4). Against brute force corners move by less than 0.003 px.
+    contrast (the square's fourth cumulant, 1/120 px^4). Against brute force (31 x 31 rays a pixel) corners move by less
+    than 0.003 px.
     """
     rotation = matrix_from_rotvec(np.array(pose.rotvec_rad))
     # Board coordinates of the ray's points s d: R^T (s d - t); s is where the third of them is zero.

@@ -70,8 +70,8 @@ def render_sources(aberrations: Aberrations, xy_px: np.ndarray, flux_e: np.ndarr
                    image_size_px: tuple[int, int]) -> np.ndarray:
     """Image (H, W) of expected electrons of point sources: chief rays xy_px (N, 2), fluxes flux_e (N,).
 
-    Each pixel integrates the PSF over its square by 4 x 4 Gauss-Legendre nodes (relative error below 1e-5 for sigma
-    0.5 px). What falls off the image is lost; the window of 19 pixels holds all but 1e-6 of a flux.
+    Each pixel integrates the PSF over its square by 4 x 4 Gauss-Legendre nodes (error below 2e-5 of the peak for
+    sigma 0.5 px). What falls off the image is lost; the window of 19 pixels holds all but 2e-6 of a flux.
     """
     width, height = image_size_px
     xy_px = np.asarray(xy_px, float).reshape(-1, 2)

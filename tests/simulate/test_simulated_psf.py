@@ -36,7 +36,7 @@ def test_pixels_have_the_stated_flux_centroid_and_moments(xy):
     image = render_sources(ABERRATIONS, np.array([xy]), np.array([5e4]), SIZE)
     centroid, moments = moments_of(image)
     assert image.sum() == pytest.approx(5e4, rel=1e-5)
-    # Sampling by pixels alone moves centroid and moments by about exp(-2 pi^2 sigma^2) / pi = 3e-4.
+    # Sampling alone, of exact integrals too, moves the centroid by up to 2.6e-4 px and the variance by 1.3e-3 px^2.
     assert centroid == pytest.approx(centroid_px(ABERRATIONS, np.array([xy]))[0], abs=5e-4)
     assert moments == pytest.approx(moments_px2(ABERRATIONS, np.array([xy]))[0], abs=2e-3)
 
