@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import BadInput
 from ..records import CalibrationMap, Frame, Quantity
 
 
@@ -32,8 +33,16 @@ class Gain:
 
 
 def known_gain(calmap: CalibrationMap | None, frame: Frame) -> Gain:
-    """The map's gain if it was measured, else the frame's EGAIN, else unknown."""
+    """The map's gain if it was measured, else the frame's EGAIN, else unknown.
+
+    Raises:
+        BadInput: the map's gain was measured at another gain setting.
+    """
     if calmap is not None and "gain_dn_per_e" in calmap.measured:
+        theirs, mine = calmap.conditions.gain_setting, frame.gain_setting
+        if theirs is not None and mine is not None and theirs != mine:
+            raise BadInput(f"gain setting {mine:g}, but the map's gain was measured at {theirs:g}", file=frame.file or None,
+                           mend="use a map of the same gain setting, or measure flats at this one")
         figure = calmap.quantities.get("flat.gain_dn_per_e")
         return Gain(dn_per_e=calmap.gain_dn_per_e, uncertainty=(figure and figure.uncertainty) or 0.0, origin="the map")
     if frame.egain_e_per_dn:

@@ -74,7 +74,7 @@ class Ledger:
         """What a user should know about these frames as a whole."""
         out = []
         if self.lossy:
-            out.append(f"{self._what} went through a lossy format")
+            out.append(f"{self._what}: 8-bit or lossy files")
         celsius = self._said["temperature_c"]
         if celsius and max(celsius) - min(celsius) > TEMPERATURE_DRIFT_C:
             out.append(f"temperature drifted from {min(celsius):.1f} to {max(celsius):.1f} C")

@@ -109,9 +109,9 @@ def _defects(ladder: Ladder, quiet: Series | None, first: Frame, gain_dn_per_e: 
     significant = z > defect.threshold(z.size, settings.false_alarms)
     hot = significant & (deviation > limit)
     means = [s.stack.mean_dn for s in ladder.series]
-    thesis = [mean > mean.mean() + THESIS_SIGMA * mean.std() for mean in means]
-    masks = {"hot": hot, "warm": significant & ~hot, "hot_thesis": thesis[-1],
-             "stuck": _stuck(ladder, white, hot, settings), "noisy": np.zeros_like(hot)}
+    stuck = _stuck(ladder, white, hot, settings)
+    thesis = [_above_thesis_limit(mean, ~stuck) for mean in means]
+    masks = {"hot": hot, "warm": significant & ~hot, "hot_thesis": thesis[-1], "stuck": stuck, "noisy": np.zeros_like(hot)}
     if quiet is not None:
         masks["noisy"] = defect.noisy(quiet.steady_variance_dn2, quiet.freedom, settings.false_alarms, settings.noise_factor)
     rows, columns = np.nonzero(hot)
@@ -126,6 +126,11 @@ def _defects(ladder: Ladder, quiet: Series | None, first: Frame, gain_dn_per_e: 
         "temporal_variance_dn2": np.array([float(np.mean(v)) for v in ladder.variance_dn2]),
         "levels_dn": np.concatenate([s.levels_dn for s in ladder.series])}
     return masks, evidence
+
+
+def _above_thesis_limit(mean: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    """The thesis rule: above mean + 5 sigma of the averaged frame. Stuck pixels are not counted in, a few would blind it."""
+    return counted & (mean > mean[counted].mean() + THESIS_SIGMA * mean[counted].std())
 
 
 def _stuck(ladder: Ladder, white_dn: float, hot: np.ndarray, settings: Settings) -> np.ndarray:

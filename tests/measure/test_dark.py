@@ -8,7 +8,7 @@ import pytest
 
 from calibench.errors import BadInput
 from calibench.measure import dark
-from calibench.records import DEFECT_FLAGS, Frame
+from calibench.records import DEFECT_FLAGS, CalibrationMap, Conditions, Frame
 
 GAIN_DN_PER_E, OFFSET_DN, READ_E, RATE_E_PER_S, DSNU_E = 0.5, 100.0, 6.0, 10.0, 4.0
 SHAPE = (240, 320)
@@ -101,6 +101,16 @@ def test_without_gain_the_e_figures_say_why():
     result = dark.measure(darks(np.random.default_rng(6)))
     assert result.quantity("read_noise_dn").value == pytest.approx(READ_E * GAIN_DN_PER_E, rel=0.02)
     assert result.quantity("read_noise_e").value is None and "gain unknown" in result.quantity("read_noise_e").reason
+
+
+def test_gain_of_a_map_counts_only_at_its_gain_setting():
+    frames = darks(np.random.default_rng(10), count=3, gain_setting=4.0)
+    def calmap(setting):
+        return CalibrationMap(image_size_px=SHAPE[::-1], measured=frozenset({"gain_dn_per_e"}), gain_dn_per_e=GAIN_DN_PER_E,
+                              conditions=Conditions(gain_setting=setting))
+    assert dark.measure(frames, None, calmap(4.0)).quantity("read_noise_e").value == pytest.approx(READ_E, rel=0.03)
+    with pytest.raises(BadInput, match="gain setting 4"):
+        dark.measure(frames, None, calmap(1.0))
 
 
 def test_without_exposure_offset_and_defects_are_still_made():
