@@ -9,11 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Sheet
+from matplotlib.patheffects import withStroke
 
 INK, GREY, FAINT = "#22272e", "#6b7480", "#d9dde2"
 BLUE, ORANGE, GREEN, RED = "#2f6690", "#c8672b", "#4f8a5b", "#a8323a"  # told apart by the colour-blind too, with the markers
 SEQUENTIAL, DIVERGING = "cividis", "RdBu_r"
-HALF, WIDE = (5.6, 3.9), (11.4, 4.1)  # inches
+OUTLINED = [withStroke(linewidth=2, foreground="white")]  # letters over an image
+HALF, WIDE = (5.6, 3.75), (11.4, 3.5)  # inches
 DPI = 110
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8.5, "text.color": INK,

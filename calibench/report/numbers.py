@@ -26,6 +26,11 @@ def number(value: float | None, digits: int = 4) -> str:
     return _signed(f"{value:.{max(digits - 1 - size, 0)}f}")
 
 
+def stated(value: float) -> str:
+    """A number that somebody set (a limit, an exposure): as it was given, without digits that nobody claimed."""
+    return _signed(f"{value:.10g}")
+
+
 def power_of_ten(value: float, decimals: int = 1) -> str:
     """1.2e-9 as 1.2 × 10⁻⁹; zero as 0."""
     if value == 0:

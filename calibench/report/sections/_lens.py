@@ -17,11 +17,13 @@ ARROWS = (16, 10)
 DECENTRING = ("p1", "p2")
 
 
-def figures(lens: Intrinsics) -> list[Figure]:
-    """All figures of the lens; those of the distortion only for a model that has any, those of errors only where known."""
-    known = bool(np.isfinite(lens.covariance).all() and np.diag(lens.covariance).any())
-    distorted = len(lens.distortion) > 0
-    return ([_field(lens), _radial_curve(lens, known)] if distorted else []) + ([_uncertainty(lens)] if known else [])
+def distortion(lens: Intrinsics) -> list[Figure]:
+    """Figures of the distortion; none for a model that has none."""
+    return [_field(lens), _radial_curve(lens)] if len(lens.distortion) else []
+
+
+def _errors_known(lens: Intrinsics) -> bool:
+    return bool(np.isfinite(lens.covariance).all() and np.diag(lens.covariance).any())
 
 
 def _ideal_rays(lens: Intrinsics, xy_px: np.ndarray) -> np.ndarray:
@@ -53,10 +55,10 @@ def _field(lens: Intrinsics) -> Figure:
         axes.plot(lens.cx_px, lens.cy_px, "+", color="white", markersize=9)
         said.append(f"{title} up to {number(float(size[largest]), 3)} px, at pixel ({fine[largest, 0]:.0f}, {fine[largest, 1]:.0f})")
     return Figure(title="Distortion: where the lens puts an ideal pixel", png=png(made), wide=True,
-                  reading=f"{'; '.join(said)}. Arrows show the direction, each panel on its own scale; the cross is the principal point.")
+                  reading=f"{'; '.join(said).capitalize()}. Arrows show the direction, each panel on its own scale; the cross is the principal point.")
 
 
-def _radial_curve(lens: Intrinsics, known: bool) -> Figure:
+def _radial_curve(lens: Intrinsics) -> Figure:
     """Displacement along a radius by the radial terms, with the error that their covariance gives."""
     w, h = lens.image_size_px
     corners = np.array([[0, 0], [w - 1, 0], [0, h - 1], [w - 1, h - 1]]) - [lens.cx_px, lens.cy_px]
@@ -70,7 +72,7 @@ def _radial_curve(lens: Intrinsics, known: bool) -> Figure:
     shift = xy[:, 0] - lens.cx_px - lens.fx_px * tangent
     terms = [i for i, name in enumerate(lens.parameter_names) if name in names and name not in DECENTRING]
     slope = by_parameter[:, 0, terms]
-    error = np.sqrt(np.einsum("ni,ij,nj->n", slope, lens.covariance[np.ix_(terms, terms)], slope)) if known else None
+    error = np.sqrt(np.einsum("ni,ij,nj->n", slope, lens.covariance[np.ix_(terms, terms)], slope)) if _errors_known(lens) else None
     made, (axes,) = sheet(HALF)
     axes.axhline(0, color=GREY, linewidth=0.7)
     if error is not None:
@@ -82,7 +84,7 @@ def _radial_curve(lens: Intrinsics, known: bool) -> Figure:
     axes.grid(color=FAINT)
     axes.set(xlabel="field angle from the optical axis (degrees)", ylabel="displacement from ideal (px)", xlim=(0, angle[-1]))
     axes.legend(loc="best")
-    kind = "barrel (inwards)" if shift[-1] < 0 else "pincushion (outwards)"
+    kind = "Barrel (inwards)" if shift[-1] < 0 else "Pincushion (outwards)"
     spread = f" ± {number(float(error[-1]), 2)} (1σ)" if error is not None else ""
     return Figure(title="Radial distortion against field angle", png=png(made),
                   reading=f"{kind}: {number(float(shift[-1]), 3)} px{spread} at {angle[-1]:.1f} degrees, "
@@ -108,7 +110,10 @@ def projection_sd_px(lens: Intrinsics, xy_px: np.ndarray) -> tuple[np.ndarray, n
     return sd(flat), sd(rest)
 
 
-def _uncertainty(lens: Intrinsics) -> Figure:
+def uncertainty(lens: Intrinsics) -> Figure | None:
+    """Two maps of the projection's 1-sigma; None where the covariance is not known."""
+    if not _errors_known(lens):
+        return None
     made, both = sheet(WIDE, 2)
     arcsec_per_px = float(np.degrees(1 / lens.fx_px)) * 3600
     said = []
@@ -123,4 +128,4 @@ def _uncertainty(lens: Intrinsics) -> Figure:
         said.append(f"{title}: median {number(middle, 2)} px ({number(middle * arcsec_per_px, 2)} arcsec), worst "
                     f"{number(worst, 2)} px ({number(worst * arcsec_per_px, 2)} arcsec)")
     return Figure(title="Uncertainty of the projection of stars (at infinity), 1σ", png=png(made), wide=True,
-                  reading="; ".join(said) + ". What a common turn takes up goes into the attitude, the rest into every star.")
+                  reading="; ".join(said).capitalize() + ". What a common turn takes up goes into the attitude, the rest into every star.")

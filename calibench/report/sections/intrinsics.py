@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...records import Intrinsics, Measurement
-from ..draw import BLUE, FAINT, GREY, HALF, INK, ORANGE, png, sensor_axes, sheet
+from ..draw import BLUE, FAINT, GREY, HALF, INK, ORANGE, OUTLINED, png, sensor_axes, sheet
 from ..numbers import MISSING, number, percent, plural, quantity_row, rounded_like, sigma
 from ..section import Figure, Section, Table
 from ..story import Story
@@ -21,7 +21,7 @@ def render(story: Story) -> Section | None:
     if measurement is None or measurement.intrinsics is None:
         return None
     lens = measurement.intrinsics
-    figures = [*_lens.figures(lens), _coverage(measurement), _residuals(measurement), _views(measurement)]
+    figures = [*_lens.distortion(lens), _coverage(measurement), _residuals(measurement), _views(measurement), _lens.uncertainty(lens)]
     return Section(paragraphs=(_summary(lens, measurement),), warnings=measurement.warnings,
                    tables=(_parameters(lens, measurement), _others(lens, measurement)),
                    figures=tuple(f for f in figures if f is not None))
@@ -65,11 +65,11 @@ def _coverage(measurement: Measurement) -> Figure | None:
     rows, columns = count.shape
     axes.imshow(np.where(count == 0, np.nan, count), extent=(-0.5, w - 0.5, h - 0.5, -0.5), cmap="Blues", alpha=0.45, vmin=0,
                 interpolation="nearest")
-    axes.plot(*corners.T, ".", color=BLUE, markersize=2.2)
+    axes.plot(*corners.T, ".", color=BLUE, markersize=2.2, alpha=0.45)
     for row, column in np.ndindex(rows, columns):
         empty = count[row, column] == 0
         axes.text((column + 0.5) * w / columns - 0.5, (row + 0.5) * h / rows - 0.5, str(count[row, column]), ha="center", va="center",
-                  fontsize=8, color=ORANGE if empty else INK, fontweight="bold" if empty else "normal")
+                  fontsize=8, fontweight="bold", color=ORANGE if empty else INK, path_effects=OUTLINED)
     filled = int((count > 0).sum())
     radius = np.hypot(*(corners - [(w - 1) / 2, (h - 1) / 2]).T).max() / np.hypot((w - 1) / 2, (h - 1) / 2)
     return Figure(title="Coverage of the image by corners", png=png(made),
@@ -91,10 +91,9 @@ def _residuals(measurement: Measurement) -> Figure | None:
     arrows = {"angles": "xy", "scale_units": "xy", "scale": 1 / scale, "width": 0.0022}
     axes.quiver(*xy[inlier].T, *residual[inlier].T, color=BLUE, **arrows)
     axes.plot(*xy[~inlier].T, "x", color=ORANGE, markersize=6)
-    mean = residual[inlier].mean(0)
     return Figure(title=f"Corner residuals, drawn ×{number(scale, 2)}", png=png(made),
                   reading=f"Measured minus projected, median length {number(typical, 2)} px, longest inlier "
-                          f"{number(float(length[inlier].max()), 2)} px, mean ({number(mean[0], 2)}, {number(mean[1], 2)}) px; "
+                          f"{number(float(length[inlier].max()), 2)} px; "
                           f"{plural(int((~inlier).sum()), 'outlier')} of {len(xy)} corners "
                           f"{'is' if (~inlier).sum() == 1 else 'are'} crossed out.")
 

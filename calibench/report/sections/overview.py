@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from ...records import Conditions, Limit, Verdict
-from ..numbers import MISSING, number, percent, plural, with_uncertainty
+from ..numbers import MISSING, number, percent, plural, stated, with_uncertainty
 from ..section import Badge, Section, Table
 from ..story import ShotStory, Story
 
@@ -14,7 +14,7 @@ TITLE = "Overview"
 
 
 def render(story: Story) -> Section:
-    tables = [_camera(story), _shots(story.shots), _verdicts(story.verdicts), _timings(story)]
+    tables = [_verdicts(story.verdicts), _shots(story.shots), _camera(story), _timings(story)]
     return Section(paragraphs=(_summary(story),), warnings=_warnings(story), tables=tuple(t for t in tables if t is not None))
 
 
@@ -44,7 +44,7 @@ def _camera(story: Story) -> Table:
     w, h = story.calmap.image_size_px
     rows = [("Camera", camera.name), ("Serial", camera.serial), ("Sensor", camera.sensor), ("Lens", camera.lens),
             ("Image size", f"{w} × {h} px"),
-            ("Pixel size", f"{number(camera.pixel_size_um)} µm" if camera.pixel_size_um else ""),
+            ("Pixel size", f"{stated(camera.pixel_size_um)} µm" if camera.pixel_size_um else ""),
             *_conditions(story.calmap.conditions)]
     return Table(title="Camera and conditions", columns=("What", "Value"),
                  rows=tuple((what, value or "not stated") for what, value in rows))
@@ -54,10 +54,10 @@ def _conditions(conditions: Conditions) -> list[tuple[str, str]]:
     def between(pair: tuple | None, unit: str) -> str:
         if pair is None:
             return ""
-        low, high = (number(end) if isinstance(end, int | float) else end for end in pair)
+        low, high = (stated(end) if isinstance(end, int | float) else end for end in pair)
         return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"
     return [("Exposure", between(conditions.exposure_s, "s")), ("Temperature", between(conditions.temperature_c, "°C")),
-            ("Gain setting", number(conditions.gain_setting) if conditions.gain_setting is not None else ""),
+            ("Gain setting", stated(conditions.gain_setting) if conditions.gain_setting is not None else ""),
             ("Bit depth", f"{conditions.bit_depth} bit" if conditions.bit_depth else ""),
             ("Taken (UTC)", between(conditions.date_obs, "").strip())]
 
@@ -78,10 +78,10 @@ def _verdicts(verdicts: tuple[Verdict, ...]) -> Table | None:
 
 def _bounds(limit: Limit) -> str:
     if limit.minimum is None:
-        return f"≤ {number(limit.maximum)}"
+        return f"≤ {stated(limit.maximum)}"
     if limit.maximum is None:
-        return f"≥ {number(limit.minimum)}"
-    return f"{number(limit.minimum)} … {number(limit.maximum)}"
+        return f"≥ {stated(limit.minimum)}"
+    return f"{stated(limit.minimum)} … {stated(limit.maximum)}"
 
 
 def _timings(story: Story) -> Table | None:

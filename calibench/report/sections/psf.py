@@ -1,0 +1,137 @@
+"""PSF: size and shape of a point's image over the field."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.patches import Ellipse
+
+from ...records import Measurement, PsfMap
+from ...spots.psf import FWHM_PER_SIGMA, moments_at
+from ..draw import BLUE, FAINT, HALF, ORANGE, WIDE, grid_px, png, sensor_axes, sensor_field, sheet
+from ..numbers import number, percent, plural, quantity_row
+from ..section import Figure, Section, Table
+from ..story import Story
+
+ORDER = 50
+TITLE = "Point spread function"
+FIELD, ELLIPSES = (61, 41), (12, 8)
+PLACES = ((0.0, "centre"), (0.35, "35 % out"), (0.6, "60 % out"), (0.8, "80 % out"), (0.97, "corner"))
+STAMP_PX, OVERSAMPLING = 15, 9
+
+
+def render(story: Story) -> Section | None:
+    measurement = story.measurements.get("psf")
+    if measurement is None or measurement.psf is None:
+        return None
+    psf = measurement.psf
+    figures = (_ellipses(psf), _width(psf), _ellipticity(psf), _stamps(psf), _encircled(measurement))
+    table = Table(title="PSF figures", columns=("Quantity", "Value ± 1σ", "3σ", "Unit", "Definition"),
+                  rows=tuple(quantity_row(q) for q in measurement.quantities), numbers=frozenset({"Value ± 1σ", "3σ"}))
+    return Section(paragraphs=(f"Moments as a polynomial of degree {psf.degree} over the field, from "
+                               f"{plural(len(psf.measured_xy_px), 'spot')}; they scatter about it by "
+                               f"{number(psf.residual_rms_px2, 2)} px² (rms). A centroid through this map means: {psf.centre}. "
+                               "Widths are those of the light before the pixel integrates it.",),
+                   warnings=measurement.warnings, tables=(table,), figures=tuple(f for f in figures if f is not None))
+
+
+def shape(psf: PsfMap, xy_px: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Major and minor sigma (N,) px and the major axis's angle (N,) rad from x towards y (down)."""
+    s_xx, s_yy, s_xy = moments_at(psf, xy_px).T
+    middle, half = (s_xx + s_yy) / 2, np.hypot((s_xx - s_yy) / 2, s_xy)
+    return np.sqrt(middle + half), np.sqrt(np.maximum(middle - half, 0)), np.arctan2(2 * s_xy, s_xx - s_yy) / 2
+
+
+def _ellipses(psf: PsfMap) -> Figure:
+    w, h = psf.image_size_px
+    xy = grid_px(psf.image_size_px, *ELLIPSES, inset_px=w / 30)
+    major, minor, angle = shape(psf, xy)
+    scale = 0.4 * w / ELLIPSES[0] / (FWHM_PER_SIGMA / 2 * major.max())
+    made, (axes,) = sheet(HALF)
+    sensor_axes(axes, psf.image_size_px)
+    axes.plot(*psf.measured_xy_px.T, ".", color=ORANGE, markersize=2, alpha=0.7)
+    for (x, y), a, b, turn in zip(xy, major, minor, angle, strict=True):
+        axes.add_patch(Ellipse((x, y), *(FWHM_PER_SIGMA * scale * np.array([a, b])), angle=np.degrees(turn), facecolor="none",
+                               edgecolor=BLUE, linewidth=1))
+    radial = np.abs(np.cos(angle - np.arctan2(*(xy - [(w - 1) / 2, (h - 1) / 2]).T[::-1])))
+    outer = np.hypot(*((xy / [w - 1, h - 1] - 0.5) * 2).T) > 0.7
+    along = float(np.mean(radial[outer] > np.cos(np.pi / 4)))
+    return Figure(title=f"PSF over the field (ellipses of half maximum, ×{number(scale, 2)})", png=png(made),
+                  reading=f"Half-maximum ellipses from {number(float(FWHM_PER_SIGMA * minor.min()), 3)} px (smallest minor axis) to "
+                          f"{number(float(FWHM_PER_SIGMA * major.max()), 3)} px (largest major axis); in the outer field "
+                          f"{percent(along)} point along the radius. Dots: spots used.")
+
+
+def _width(psf: PsfMap) -> Figure:
+    xy = grid_px(psf.image_size_px, *FIELD)
+    major, minor, _ = shape(psf, xy)
+    fwhm = FWHM_PER_SIGMA * np.sqrt(major * minor)
+    made, (axes,) = sheet(HALF)
+    sensor_field(axes, fwhm.reshape(FIELD[::-1]), psf.image_size_px, "FWHM, geometric mean of the axes (px)")
+    best, worst = int(np.argmin(fwhm)), int(np.argmax(fwhm))
+    return Figure(title="Width over the field", png=png(made),
+                  reading=f"Sharpest at pixel ({xy[best, 0]:.0f}, {xy[best, 1]:.0f}) with {number(float(fwhm[best]), 3)} px, widest at "
+                          f"({xy[worst, 0]:.0f}, {xy[worst, 1]:.0f}) with {number(float(fwhm[worst]), 3)} px; median "
+                          f"{number(float(np.median(fwhm)), 3)} px.")
+
+
+def _ellipticity(psf: PsfMap) -> Figure:
+    xy = grid_px(psf.image_size_px, *FIELD)
+    major, minor, _ = shape(psf, xy)
+    flattening = 1 - minor / major
+    made, (axes,) = sheet(HALF)
+    sensor_field(axes, flattening.reshape(FIELD[::-1]), psf.image_size_px, "ellipticity 1 − b/a")
+    coarse = grid_px(psf.image_size_px, 16, 10, inset_px=psf.image_size_px[0] / 30)
+    a, b, turn = shape(psf, coarse)
+    whisker = (1 - b / a)[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+    axes.quiver(*coarse.T, *whisker.T, angles="xy", pivot="middle", headaxislength=0, headlength=0, headwidth=1, color="white",
+                width=0.005)
+    worst = int(np.argmax(flattening))
+    return Figure(title="Ellipticity over the field (whiskers: major axis)", png=png(made),
+                  reading=f"Median {number(float(np.median(flattening)), 2)}, largest {number(float(flattening[worst]), 2)} at pixel "
+                          f"({xy[worst, 0]:.0f}, {xy[worst, 1]:.0f}); {percent(float((flattening < 0.1).mean()))} of the field is "
+                          "rounder than 0.1.")
+
+
+def stamp(moments: np.ndarray) -> np.ndarray:
+    """(STAMP_PX, STAMP_PX) share of the light in each pixel of a Gaussian with moments (3,) on the middle pixel's centre."""
+    s_xx, s_yy, s_xy = moments
+    fine = (np.arange(STAMP_PX * OVERSAMPLING) + 0.5) / OVERSAMPLING - STAMP_PX / 2
+    x, y = np.meshgrid(fine, fine)
+    determinant = s_xx * s_yy - s_xy**2
+    light = np.exp(-0.5 * (s_yy * x * x - 2 * s_xy * x * y + s_xx * y * y) / determinant) / (2 * np.pi * np.sqrt(determinant))
+    return light.reshape(STAMP_PX, OVERSAMPLING, STAMP_PX, OVERSAMPLING).mean((1, 3))
+
+
+def _stamps(psf: PsfMap) -> Figure:
+    """Rendered images from the centre to the lower right corner, each on its own scale."""
+    w, h = psf.image_size_px
+    xy = np.array([[(w - 1) / 2 * (1 + share), (h - 1) / 2 * (1 + share)] for share, _ in PLACES])
+    made, row = sheet((WIDE[0], 2.75), len(PLACES))
+    peaks = []
+    for axes, (_, name), (x, y), moments in zip(row, PLACES, xy, moments_at(psf, xy), strict=True):
+        image = stamp(moments)
+        peaks.append(float(image.max()))
+        half = STAMP_PX / 2
+        drawn = axes.imshow(100 * image, extent=(-half, half, half, -half), cmap="cividis", vmin=0)
+        axes.set_title(f"{name}, ({x:.0f}, {y:.0f})")
+        axes.set(xlabel="x (px)", ylabel="y (px)" if axes is row[0] else "")
+        axes.figure.colorbar(drawn, ax=axes, orientation="horizontal", shrink=0.9, pad=0.03, aspect=24).set_label("light a pixel (%)")
+    return Figure(title="A point's image from the centre to a corner, as the map has it", png=png(made), wide=True,
+                  reading=f"A star centred on a pixel puts {percent(peaks[0])} of its light into it at the centre of the image and "
+                          f"{percent(peaks[-1])} at the corner.")
+
+
+def _encircled(measurement: Measurement) -> Figure | None:
+    radius, share = (measurement.evidence.get(name) for name in ("encircled_radius_px", "encircled_fraction"))
+    if radius is None or share is None:
+        return None
+    made, (axes,) = sheet(HALF)
+    axes.plot(radius, 100 * share, color=BLUE)
+    ee50, ee80 = (float(np.interp(level, np.maximum.accumulate(share), radius)) for level in (0.5, 0.8))
+    for level, r in ((50, ee50), (80, ee80)):
+        axes.plot([0, r, r], [level, level, 0], color=ORANGE, linewidth=1, linestyle="--")
+        axes.annotate(f"EE{level}: {number(r, 3)} px", (r, level), textcoords="offset points", xytext=(7, -9))
+    axes.set(xlabel="radius (px)", ylabel="light within the radius (%)", xlim=(0, float(radius[-1])), ylim=(0, 104))
+    axes.grid(color=FAINT)
+    return Figure(title="Encircled light, mean of all spots, pixel included", png=png(made),
+                  reading=f"Half of the light lies within {number(ee50, 3)} px of the spot's centre, 80 % within {number(ee80, 3)} px.")
