@@ -1,9 +1,11 @@
-"""The smooth part of a flat: lamp and lens fall-off, as a polynomial through block medians that dust does not pull."""
+"""The smooth part of a flat, lamp and lens fall-off: a polynomial, then a median, of blocks, so that dust does not pull it."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.polynomial.polynomial import polygrid2d
+from scipy import ndimage
 
 from ..spots.psf import field_terms
 from ._defects import block_statistic, planes
@@ -11,6 +13,7 @@ from ._defects import block_statistic, planes
 BLOCKS_ON_SHORT_SIDE = 24
 DEGREE = 6  # cos^4 fall-off to a third of the light, to 0.1 %
 CLIP_SIGMA = 3.0
+MEDIAN_BLOCKS = 5  # wider than two dust shadows
 
 
 def illumination(signal_dn: np.ndarray, bayer_pattern: str | None) -> np.ndarray:
@@ -30,6 +33,9 @@ def illumination(signal_dn: np.ndarray, bayer_pattern: str | None) -> np.ndarray
     order = [(total - v, v) for total in range(degree + 1) for v in range(total + 1)]
     powers[tuple(np.transpose(order))] = coefficients
     smooth = polygrid2d(np.linspace(-1, 1, w), np.linspace(-1, 1, h), powers).T
+    # What no polynomial follows (the edge of a lens barrel): the blocks' ratio to it, a median over MEDIAN_BLOCKS^2 of them.
+    ratio = ndimage.median_filter(block_statistic(scaled / smooth, side, np.median), MEDIAN_BLOCKS, mode="nearest")
+    smooth *= cv2.resize(ndimage.gaussian_filter(ratio, 1.0, mode="nearest"), (w, h), interpolation=cv2.INTER_LINEAR)
     return smooth / smooth.max()
 
 
