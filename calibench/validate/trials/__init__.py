@@ -1,1 +1,2 @@
-"""Open folder of trials. Each file offers `trial(cases, calmap, solver, progress) -> Trial`: the whole chain against truth."""
+"""Open folder of trials. Each file offers `trial(cases, calmap, finders, settings, tick) -> (Trial, details)`: the whole chain
+against truth (see validate/case.py)."""

@@ -56,7 +56,7 @@ def variants(calmap: CalibrationMap) -> dict[str, CalibrationMap]:
 def attempt(name: str, cases: Sequence[SkyCase], calmap: CalibrationMap, finders: Callable[[SkyCase], LostInSpace],
             settings: dict, tick: Callable[[], None]) -> Tried:
     """Solve every case with one variant of the map."""
-    solutions, errors, rolls, matches, square_px, square_rad, wrong = [], [], [], [], [], [], 0
+    solutions, errors, rolls, matches, residual_px, residual_rad, wrong = [], [], [], [], [], [], 0
     solver = None
     for case in cases:
         finder = finders(case)
@@ -74,13 +74,13 @@ def attempt(name: str, cases: Sequence[SkyCase], calmap: CalibrationMap, finders
             errors.append(error)
             rolls.append(roll_error_rad(solution, case.truth))
         matches.append(len(solution.attitude.residual_px))
-        square_px.append(np.mean((solution.attitude.residual_px**2).sum(1)))
-        square_rad.append(square_px[-1] / solution.identification.intrinsics.fx_px ** 2)
+        residual_px.append(np.sqrt(np.mean((solution.attitude.residual_px**2).sum(1))))
+        residual_rad.append(residual_px[-1] / solution.identification.intrinsics.fx_px)
 
     def rms(values: list[float]) -> float:
         return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
     return Tried(name=name, solutions=tuple(solutions), wrong=wrong, matches=float(np.mean(matches)) if matches else 0.0,
-                 residual_px=rms(np.sqrt(square_px)), residual_arcsec=rms(np.sqrt(square_rad)) * ARCSEC,
+                 residual_px=rms(residual_px), residual_arcsec=rms(residual_rad) * ARCSEC,
                  error_arcsec=rms(errors) * ARCSEC, roll_error_arcsec=rms(rolls) * ARCSEC)
 
 
