@@ -52,5 +52,6 @@ def _tally(story: Story) -> list[tuple[Badge, str]]:
              (("pass", "within limits"), ("fail", "outside limits"), ("skipped", "not judged")) if counts[status]]
     if story.sky:
         solved = sum(sky.calibrated.status == "solved" for sky in story.sky)
-        tally.append((Badge(status="pass" if solved == len(story.sky) else "fail"), f"{solved} of {len(story.sky)} sky frames solved"))
+        badge = Badge(status="pass" if solved == len(story.sky) else "fail")
+        tally.append((badge, f"{solved} of {len(story.sky)} sky frames solved"))
     return tally

@@ -16,6 +16,9 @@ BLUE, ORANGE, GREEN, RED = "#2f6690", "#c8672b", "#4f8a5b", "#a8323a"  # told ap
 SEQUENTIAL, DIVERGING = "cividis", "RdBu_r"
 OUTLINED = [withStroke(linewidth=2, foreground="white")]  # letters over an image
 HALF, WIDE = (5.6, 3.75), (11.4, 3.5)  # inches
+BESIDE_IN, BELOW_IN = 1.45, 0.8  # what labels and colour bar take from the width, labels and titles from the height
+TALLEST_IN = 8.0
+SHADES = 48  # more are not told apart, and noise in many shades makes large files
 DPI = 110
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8.5, "text.color": INK,
@@ -40,6 +43,13 @@ def sheet(size_in: tuple[float, float] = HALF, columns: int = 1, rows: int = 1, 
     return made, np.ravel(made.subplots(rows, columns, **subplots))
 
 
+def sensor_sheet(image_size_px: tuple[int, int], *, wide: bool = False, columns: int = 1) -> tuple[Sheet, np.ndarray]:
+    """A sheet whose axes have the sensor's proportions."""
+    width_in = (WIDE if wide else HALF)[0]
+    height_in = (width_in / columns - BESIDE_IN) * image_size_px[1] / image_size_px[0] + BELOW_IN
+    return sheet((width_in, min(height_in, TALLEST_IN)), columns)
+
+
 def png(made: Sheet) -> bytes:
     """The sheet as PNG; without the library's name and date, so that the same story gives the same bytes."""
     buffer = BytesIO()
@@ -61,7 +71,7 @@ def sensor_image(axes: Axes, image: np.ndarray, label: str, *, title: str = "", 
     low, high = limits or middle(image)
     h, w = image.shape
     sensor_axes(axes, (w, h), title)
-    drawn = axes.imshow(image, cmap=cmap, vmin=low, vmax=high, interpolation="antialiased")
+    drawn = axes.imshow(image, cmap=matplotlib.colormaps[cmap].resampled(SHADES), vmin=low, vmax=high, interpolation="antialiased")
     _colour_bar(axes, drawn, label, float(np.nanmin(image)) < low, float(np.nanmax(image)) > high)
 
 
@@ -91,6 +101,6 @@ def grid_px(image_size_px: tuple[int, int], columns: int, rows: int, inset_px: f
 
 def _colour_bar(axes: Axes, drawn: object, label: str, below: bool, above: bool) -> None:
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[below, above]
-    bar = axes.figure.colorbar(drawn, ax=axes, extend=extend, shrink=0.86, pad=0.02, aspect=28)
+    bar = axes.figure.colorbar(drawn, ax=axes, extend=extend, pad=0.02, aspect=28)
     bar.set_label(label)
     bar.outline.set_visible(False)

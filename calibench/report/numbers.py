@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-
-import numpy as np
-
-from ..records import Quantity
 
 ARCSEC = 180 * 3600 / math.pi
 MISSING = "–"
@@ -64,26 +59,14 @@ def with_uncertainty(value: float | None, uncertainty: float | None) -> str:
     return f"{text} ± {uncertainty:.{decimals}f}" if decimals <= 9 else f"{text} ± {sigma(uncertainty)}"
 
 
-def quantity_row(quantity: Quantity) -> tuple[str, ...]:
-    """Name, value ± 1 sigma, 3 sigma, unit, definition or the reason why there is no value."""
-    note = "; ".join(text for text in (quantity.source, quantity.reason) if text)
-    return (name_of(quantity), with_uncertainty(quantity.value, quantity.uncertainty), sigma(quantity.uncertainty, 3),
-            "" if quantity.unit == "1" else quantity.unit, note)
-
-
-def name_of(quantity: Quantity) -> str:
-    """The quantity's name with its symbol where that says more."""
-    return f"{quantity.name} ({quantity.symbol})" if quantity.symbol and quantity.symbol not in quantity.name else quantity.name
-
-
-def span(values: Iterable[float], digits: int = 3) -> str:
-    """smallest to largest."""
-    values = np.asarray(list(values) if not isinstance(values, np.ndarray) else values, float)
-    return f"{number(float(np.nanmin(values)), digits)} to {number(float(np.nanmax(values)), digits)}"
-
-
 def percent(share: float) -> str:
     return f"{number(100 * share, 3)} %"
+
+
+def sentence(*parts: str) -> str:
+    """Parts joined by semicolons, from a capital letter to a full stop."""
+    text = "; ".join(part for part in parts if part)
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def plural(count: int, noun: str) -> str:

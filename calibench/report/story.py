@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..records import CalibrationMap, Measurement, Verdict
+from ..stars.sky_catalogue import SkyCatalogue
 from ..stars.solve import Solution
 from ..validate.case import SkyTruth, Trial
 
@@ -28,13 +29,17 @@ class ShotStory:
 
 @dataclass(frozen=True, kw_only=True)
 class SkyStory:
-    """One sky frame: signal (H, W) DN above dark for the overlay, the solution without and with the map, truth or None."""
+    """One sky frame: signal (H, W) DN above dark for the overlay, the solution without and with the map, truth or None.
+
+    catalogue: the sky in which both were identified; without it the overlay marks stars and cannot name them.
+    """
 
     name: str
     signal_dn: np.ndarray
     raw: Solution
     calibrated: Solution
     truth: SkyTruth | None = None
+    catalogue: SkyCatalogue | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,8 @@ import numpy as np
 
 from ...geometry import projection, rotation
 from ...records import DISTORTION_NAMES, Intrinsics
-from ..draw import BLUE, FAINT, GREY, HALF, WIDE, grid_px, png, sensor_field, sheet
-from ..numbers import number
+from ..draw import BLUE, FAINT, GREY, HALF, grid_px, png, sensor_field, sensor_sheet, sheet
+from ..numbers import number, percent, sentence, with_uncertainty
 from ..section import Figure
 
 FIELD = (48, 32)  # samples over the image, columns and rows
@@ -41,21 +41,22 @@ def _parts(lens: Intrinsics, xy_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _field(lens: Intrinsics) -> Figure:
-    made, both = sheet(WIDE, 2)
-    fine, coarse = grid_px(lens.image_size_px, *FIELD), grid_px(lens.image_size_px, *ARROWS, inset_px=lens.image_size_px[0] / 30)
+    size_px = lens.image_size_px
+    made, both = sensor_sheet(size_px, wide=True, columns=2)
+    fine, coarse = grid_px(size_px, *FIELD), grid_px(size_px, *ARROWS, inset_px=size_px[0] / 30)
     names = [name for name in DISTORTION_NAMES[lens.model] if name not in DECENTRING]
+    titles = (f"radial terms ({', '.join(names)})", "tangential terms (p1, p2)")
     said = []
-    parts = zip(both, _parts(lens, fine), _parts(lens, coarse), (f"radial terms ({', '.join(names)})", "tangential terms (p1, p2)"),
-                strict=True)
-    for axes, shift, arrows, title in parts:
+    for axes, shift, arrows, title in zip(both, _parts(lens, fine), _parts(lens, coarse), titles, strict=True):
         size = np.hypot(*shift.T)
         largest = int(np.nanargmax(size))
-        sensor_field(axes, size.reshape(FIELD[::-1]), lens.image_size_px, "displacement (px)", title=title)
+        sensor_field(axes, size.reshape(FIELD[::-1]), size_px, "displacement (px)", title=title)
         axes.quiver(*coarse.T, *arrows.T, angles="xy", color="white", width=0.0028, pivot="tail")
         axes.plot(lens.cx_px, lens.cy_px, "+", color="white", markersize=9)
-        said.append(f"{title} up to {number(float(size[largest]), 3)} px, at pixel ({fine[largest, 0]:.0f}, {fine[largest, 1]:.0f})")
+        x, y = fine[largest]
+        said.append(f"{title} up to {number(size[largest], 3)} px, at pixel ({x:.0f}, {y:.0f})")
     return Figure(title="Distortion: where the lens puts an ideal pixel", png=png(made), wide=True,
-                  reading=f"{'; '.join(said).capitalize()}. Arrows show the direction, each panel on its own scale; the cross is the principal point.")
+                  reading=sentence(*said, "arrows on a scale of their own in each panel, the cross is the principal point"))
 
 
 def _radial_curve(lens: Intrinsics) -> Figure:
@@ -72,7 +73,8 @@ def _radial_curve(lens: Intrinsics) -> Figure:
     shift = xy[:, 0] - lens.cx_px - lens.fx_px * tangent
     terms = [i for i, name in enumerate(lens.parameter_names) if name in names and name not in DECENTRING]
     slope = by_parameter[:, 0, terms]
-    error = np.sqrt(np.einsum("ni,ij,nj->n", slope, lens.covariance[np.ix_(terms, terms)], slope)) if _errors_known(lens) else None
+    covariance = lens.covariance[np.ix_(terms, terms)]
+    error = np.sqrt(np.einsum("ni,ij,nj->n", slope, covariance, slope)) if _errors_known(lens) else None
     made, (axes,) = sheet(HALF)
     axes.axhline(0, color=GREY, linewidth=0.7)
     if error is not None:
@@ -85,15 +87,18 @@ def _radial_curve(lens: Intrinsics) -> Figure:
     axes.set(xlabel="field angle from the optical axis (degrees)", ylabel="displacement from ideal (px)", xlim=(0, angle[-1]))
     axes.legend(loc="best")
     kind = "Barrel (inwards)" if shift[-1] < 0 else "Pincushion (outwards)"
-    spread = f" ± {number(float(error[-1]), 2)} (1σ)" if error is not None else ""
+    at_corner = with_uncertainty(shift[-1], error[-1]) if error is not None else number(shift[-1])
     return Figure(title="Radial distortion against field angle", png=png(made),
-                  reading=f"{kind}: {number(float(shift[-1]), 3)} px{spread} at {angle[-1]:.1f} degrees, "
-                          f"{number(float(100 * shift[-1] / (lens.fx_px * tangent[-1])), 3)} % of the radius there.")
+                  reading=f"{kind}: {at_corner} px at {angle[-1]:.1f} degrees, the farthest corner, "
+                          f"{percent(shift[-1] / (lens.fx_px * tangent[-1]))} of the radius there.")
 
 
 def projection_sd_px(lens: Intrinsics, xy_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """1-sigma (N,) px, rms of both axes, of the projection of stars: as the covariance gives it, and with the turn of the camera
-    that fits the field best taken out, since an attitude fitted to the same stars takes it up."""
+    """1-sigma (N,) px, rms of both axes, of the projection of stars.
+
+    The first as the covariance gives it; the second with the turn of the camera that fits the field best taken out, since an
+    attitude fitted to the same stars takes it up.
+    """
     rays = _ideal_rays(lens, xy_px)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     _, by_ray, by_parameter = projection.project_with_jacobian(lens, rays)
@@ -114,18 +119,20 @@ def uncertainty(lens: Intrinsics) -> Figure | None:
     """Two maps of the projection's 1-sigma; None where the covariance is not known."""
     if not _errors_known(lens):
         return None
-    made, both = sheet(WIDE, 2)
+    size_px = lens.image_size_px
+    made, both = sensor_sheet(size_px, wide=True, columns=2)
     arcsec_per_px = float(np.degrees(1 / lens.fx_px)) * 3600
     said = []
     titles = ("all of it", "after the best common turn of the camera")
-    for axes, sd, title in zip(both, projection_sd_px(lens, grid_px(lens.image_size_px, *FIELD)), titles, strict=True):
+    xy_px = grid_px(size_px, *FIELD)
+    for axes, sd, title in zip(both, projection_sd_px(lens, xy_px), titles, strict=True):
         field = sd.reshape(FIELD[::-1])
-        sensor_field(axes, field, lens.image_size_px, "1σ of the projection, each axis (px)", title=title, cmap="cividis")
-        x, y = grid_px(lens.image_size_px, *FIELD).T.reshape(2, *FIELD[::-1])
+        sensor_field(axes, field, size_px, "1σ of the projection, each axis (px)", title=title)
+        x, y = xy_px.T.reshape(2, *FIELD[::-1])
         lines = axes.contour(x, y, field, levels=5, colors="white", linewidths=0.6)
         axes.clabel(lines, fontsize=7, fmt="%.3g")
-        middle, worst = float(np.nanmedian(sd)), float(np.nanmax(sd))
+        middle, worst = np.nanmedian(sd), np.nanmax(sd)
         said.append(f"{title}: median {number(middle, 2)} px ({number(middle * arcsec_per_px, 2)} arcsec), worst "
                     f"{number(worst, 2)} px ({number(worst * arcsec_per_px, 2)} arcsec)")
     return Figure(title="Uncertainty of the projection of stars (at infinity), 1σ", png=png(made), wide=True,
-                  reading="; ".join(said).capitalize() + ". What a common turn takes up goes into the attitude, the rest into every star.")
+                  reading=sentence(*said, "what a common turn takes up goes into the attitude, the rest stays in the stars"))

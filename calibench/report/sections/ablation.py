@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..draw import BLUE, FAINT, GREY, INK, ORANGE, WIDE, png, sheet
-from ..numbers import MISSING, number
+from ..numbers import MISSING, number, sentence
 from ..section import Figure, Section, Table
 from ..story import Story
 
@@ -55,10 +55,13 @@ def _earned(columns: tuple[str, ...], rows: tuple[tuple, ...]) -> Figure | None:
     largest = max(abs(v) for v in values)
     axes.set_xscale("symlog", linthresh=max(min(1.0, largest), 1e-3))
     axes.set_xlabel("earned by having it: rise of the error when it is left out (arcsec; linear below 1, logarithmic above)")
-    best, worst = earned[-1], earned[0]
-    single = [pair for pair in earned if pair[0].startswith("without ")]
-    reading = (f"The layer that earns most is {single[-1][0].removeprefix('without ')}: {number(single[-1][1], 3)} arcsec. "
-               if single else f"{best[0]}: {number(best[1], 3)} arcsec. ")
-    harm = [name.removeprefix("without ") for name, value in single if value < 0]
-    reading += f"Left out, {' and '.join(harm)} would lower the error (worst {number(worst[1], 2)} arcsec)." if harm else "No layer does harm."
-    return Figure(title="Arcseconds earned by each layer", png=png(made), reading=reading, wide=True)
+    return Figure(title="Arcseconds earned by each layer", png=png(made), reading=_reading(earned), wide=True)
+
+
+def _reading(earned: list[tuple[str, float]]) -> str:
+    """Which layer earns most, and which do harm; earned: (name, arcsec), least first."""
+    layers = [(name.removeprefix("without "), value) for name, value in earned if name.startswith("without ")]
+    whole = [f"the whole map earns {number(value, 3)} arcsec over {name}" for name, value in earned if name == "no map"]
+    best = [f"of its layers {layers[-1][0]} earns most, {number(layers[-1][1], 3)} arcsec"] if layers else []
+    harm = [f"{name} ({number(value, 2)} arcsec)" for name, value in layers if value < 0]
+    return sentence(*whole, *best, f"the error falls without {' or '.join(harm)}" if harm else "no layer does harm")

@@ -5,10 +5,27 @@ from __future__ import annotations
 import numpy as np
 
 from ...records import DEFECT_FLAGS, Measurement
-from ..draw import BLUE, FAINT, GREEN, GREY, HALF, INK, ORANGE, RED, WIDE, middle, png, sensor_axes, sensor_image, sheet
-from ..numbers import number, percent, plural, quantity_row, stated, with_uncertainty
+from ..draw import (
+    BLUE,
+    FAINT,
+    GREEN,
+    GREY,
+    HALF,
+    INK,
+    ORANGE,
+    RED,
+    WIDE,
+    middle,
+    png,
+    sensor_axes,
+    sensor_image,
+    sensor_sheet,
+    sheet,
+)
+from ..numbers import number, percent, plural, stated, with_uncertainty
 from ..section import Figure, Section, Table
 from ..story import Story
+from ..tables import quantity_table
 
 ORDER = 30
 TITLE = "Dark: offset, dark rate, hot pixels"
@@ -22,7 +39,7 @@ def render(story: Story) -> Section | None:
     gain = story.calmap.gain_dn_per_e
     figures = (_offset(measurement), _rate(measurement, gain), _rate_histogram(measurement, gain), _defect_map(measurement),
                _ladder(measurement))
-    tables = (_quantities(measurement), _classes(measurement), _exposures(measurement))
+    tables = (quantity_table("Dark figures", measurement.quantities), _classes(measurement), _exposures(measurement))
     return Section(paragraphs=(_summary(measurement),), warnings=measurement.warnings,
                    tables=tuple(t for t in tables if t is not None), figures=tuple(f for f in figures if f is not None))
 
@@ -31,17 +48,12 @@ def _summary(measurement: Measurement) -> str:
     exposures = measurement.evidence.get("exposure_s", np.zeros(0))
     known = exposures[np.isfinite(exposures)]
     ladder = f" at {plural(len(known), 'exposure')} of {_exposure_span(known)}" if len(known) else " of unknown exposure"
-    return f"{plural(measurement.frames_used, 'dark frame')}{ladder}. Maps show the middle 98 % of the pixels; pointed ends of a " \
-           "colour bar say that some lie beyond."
+    return (f"{plural(measurement.frames_used, 'dark frame')}{ladder}. Maps show the middle 98 % of the pixels; a pointed end "
+            "of a colour bar says that some lie beyond.")
 
 
 def _exposure_span(known: np.ndarray) -> str:
     return f"{stated(known.min())} s" if len(known) == 1 else f"{stated(known.min())} to {stated(known.max())} s"
-
-
-def _quantities(measurement: Measurement) -> Table:
-    return Table(title="Dark figures", columns=("Quantity", "Value ± 1σ", "3σ", "Unit", "Definition"),
-                 rows=tuple(quantity_row(q) for q in measurement.quantities), numbers=frozenset({"Value ± 1σ", "3σ"}))
 
 
 def _classes(measurement: Measurement) -> Table | None:
@@ -59,8 +71,9 @@ def _exposures(measurement: Measurement) -> Table | None:
     wanted = ("exposure_s", "frame_count", "mean_level_dn", "temporal_variance_dn2", "hot_thesis_count")
     if not evidence.keys() >= set(wanted):
         return None
-    rows = tuple((stated(t) if np.isfinite(t) else "unknown", str(frames), number(level, 5), number(np.sqrt(variance), 3), str(count))
-                 for t, frames, level, variance, count in zip(*(evidence[name] for name in wanted), strict=True))
+    rows = tuple(
+        (stated(t) if np.isfinite(t) else "unknown", str(frames), number(level, 5), number(np.sqrt(variance), 3), str(count))
+        for t, frames, level, variance, count in zip(*(evidence[name] for name in wanted), strict=True))
     columns = ("Exposure (s)", "Frames", "Mean level (DN)", "Temporal noise (DN)", "Hot by the thesis rule")
     return Table(title="Dark ladder", columns=columns, rows=rows, numbers=frozenset(columns),
                  note="Thesis rule: averaged frame above its mean + 5 standard deviations.")
@@ -70,14 +83,13 @@ def _offset(measurement: Measurement) -> Figure | None:
     offset = measurement.maps.get("offset_dn")
     if offset is None:
         return None
-    made, (axes,) = sheet(HALF)
+    made, (axes,) = sensor_sheet(measurement.image_size_px)
     sensor_image(axes, offset, "offset (DN)")
     low, high = middle(offset)
-    columns = np.median(offset, axis=0)
+    columns, rows = (np.median(offset, axis=axis).std() for axis in (0, 1))
     return Figure(title="Offset", png=png(made),
-                  reading=f"Median {number(float(np.median(offset)), 4)} DN, the middle 98 % between {number(low, 4)} and "
-                          f"{number(high, 4)} DN; medians of columns scatter by {number(float(columns.std()), 2)} DN, of rows by "
-                          f"{number(float(np.median(offset, axis=1).std()), 2)} DN (1σ).")
+                  reading=f"Median {number(np.median(offset))} DN, the middle 98 % between {number(low)} and {number(high)} DN; "
+                          f"medians of columns scatter by {number(columns, 2)} DN, of rows by {number(rows, 2)} DN (1σ).")
 
 
 def _in_electrons(rate_dn_per_s: np.ndarray, gain_dn_per_e: float) -> tuple[np.ndarray, str]:
@@ -90,12 +102,12 @@ def _rate(measurement: Measurement, gain_dn_per_e: float) -> Figure | None:
     if "dark_rate_dn_per_s" not in measurement.maps:
         return None
     rate, unit = _in_electrons(measurement.maps["dark_rate_dn_per_s"], gain_dn_per_e)
-    made, (axes,) = sheet(HALF)
+    made, (axes,) = sensor_sheet(measurement.image_size_px)
     sensor_image(axes, rate, f"dark rate ({unit})")
     row, column = np.unravel_index(int(np.argmax(rate)), rate.shape)
     return Figure(title="Dark rate", png=png(made),
-                  reading=f"Median {number(float(np.median(rate)), 3)} {unit}, mean {number(float(rate.mean()), 3)} {unit}; the hottest "
-                          f"pixel, ({column}, {row}), collects {number(float(rate.max()), 4)} {unit}.")
+                  reading=f"Median {number(np.median(rate), 3)} {unit}, mean {number(rate.mean(), 3)} {unit}; the hottest pixel, "
+                          f"({column}, {row}), collects {number(rate.max(), 3)} {unit}.")
 
 
 def _rate_histogram(measurement: Measurement, gain_dn_per_e: float) -> Figure | None:
@@ -108,14 +120,14 @@ def _rate_histogram(measurement: Measurement, gain_dn_per_e: float) -> Figure | 
     axes.set_yscale("log")
     axes.set_ylim(bottom=0.7)
     axes.grid(axis="y", color=FAINT)
-    middle_rate = float(np.median(rate))
+    middle_rate = np.median(rate)
     axes.axvline(middle_rate, color=GREY, linestyle="--", linewidth=1, label=f"median {number(middle_rate, 3)} {unit}")
     axes.set(xlabel=f"dark rate ({unit})", ylabel="pixels a bin (logarithmic)", xlim=(edges[0], edges[-1]))
     axes.legend(loc="upper right")
     top = np.sort(rate)[-max(1, rate.size // 1000):]
     return Figure(title="Dark rates of all pixels", png=png(made),
-                  reading=f"The hottest thousandth of the pixels lies above {number(float(top[0]), 3)} {unit} and holds "
-                          f"{percent(float(top.sum() / rate.sum()))} of the dark signal; half of the pixels lie below "
+                  reading=f"The hottest thousandth of the pixels lies above {number(top[0], 3)} {unit} and holds "
+                          f"{percent(top.sum() / rate.sum())} of the dark signal; half of the pixels lie below "
                           f"{number(middle_rate, 3)} {unit}.")
 
 
@@ -123,24 +135,23 @@ def _defect_map(measurement: Measurement) -> Figure | None:
     defects = measurement.maps.get("defects")
     if defects is None:
         return None
-    made, (axes,) = sheet(WIDE)
     h, w = defects.shape
+    made, (axes,) = sensor_sheet((w, h))
     sensor_axes(axes, (w, h))
     said = []
     for name, (colour, marker) in MARKS.items():
         rows, columns = np.nonzero(defects & DEFECT_FLAGS[name])
         if len(rows):
-            hollow = marker in "os^"
-            axes.plot(columns, rows, marker, color=colour, markersize=3.6 if hollow else 4.5, markerfacecolor="none" if hollow else colour,
-                      markeredgewidth=0.8, label=f"{name} ({len(rows)})")
+            axes.plot(columns, rows, marker, color=colour, markersize=4, markerfacecolor="none", markeredgewidth=0.7,
+                      label=f"{name} ({len(rows)})")
             said.append(f"{len(rows)} {name}")
     bad = (defects & sum(DEFECT_FLAGS[name] for name in MARKS)) != 0
     if said:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1), title="class (pixels)", alignment="left")
-    halves = int(bad[:, :w // 2].sum()), int(bad[:, w // 2:].sum())
-    return Figure(title="Where the hot pixels are", png=png(made), wide=True,
-                  reading=f"{', '.join(said) or 'No defect found'}: {percent(float(bad.mean()))} of {defects.size} pixels carry a flag, "
-                          f"{halves[0]} in the left half of the image and {halves[1]} in the right.")
+        axes.legend(loc="upper left", bbox_to_anchor=(-0.12, -0.16), ncols=len(MARKS), handletextpad=0.1, columnspacing=1.2)
+    left, right = np.count_nonzero(bad[:, :w // 2]), np.count_nonzero(bad[:, w // 2:])
+    return Figure(title="Where the hot pixels are", png=png(made),
+                  reading=f"{', '.join(said) or 'No defect found'}: {percent(bad.mean())} of {defects.size} pixels carry one of "
+                          f"these flags, {left} in the left half of the image and {right} in the right.")
 
 
 def _ladder(measurement: Measurement) -> Figure | None:
@@ -155,11 +166,12 @@ def _ladder(measurement: Measurement) -> Figure | None:
     t = np.linspace(0, exposure.max(), 50)
     above.plot(t, offset.value + rate.value * t, color=GREY, linewidth=1, label="fitted line")
     spread = evidence.get("level_sd_dn", np.zeros_like(level))
-    above.errorbar(exposure, level, spread, fmt="o", color=BLUE, markersize=4.5, capsize=2, label="mean level, ±1σ of the frames")
+    points = {"fmt": "o", "color": BLUE, "markersize": 4.5, "capsize": 2}
+    above.errorbar(exposure, level, spread, **points, label="mean level, ±1σ of the frames")
     above.set(xlabel="exposure (s)", ylabel="mean dark level (DN)", title="level")
     above.legend(loc="upper left")
     below.axhline(0, color=GREY, linewidth=1)
-    below.errorbar(exposure, level - line, spread, fmt="o", color=BLUE, markersize=4.5, capsize=2)
+    below.errorbar(exposure, level - line, spread, **points)
     below.set(xlabel="exposure (s)", ylabel="level minus line (DN)", title="departure from the line")
     for axes in (above, below):
         axes.grid(color=FAINT)
@@ -167,4 +179,4 @@ def _ladder(measurement: Measurement) -> Figure | None:
     return Figure(title="Dark ladder: mean level against exposure", png=png(made), wide=True,
                   reading=f"The level grows by {with_uncertainty(rate.value, rate.uncertainty)} DN/s from "
                           f"{with_uncertainty(offset.value, offset.uncertainty)} DN; it departs most from the line at "
-                          f"{stated(exposure[worst])} s, by {number(float((level - line)[worst]), 2)} DN.")
+                          f"{stated(exposure[worst])} s, by {number((level - line)[worst], 2)} DN.")

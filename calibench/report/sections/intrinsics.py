@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from ...records import Intrinsics, Measurement
-from ..draw import BLUE, FAINT, GREY, HALF, INK, ORANGE, OUTLINED, png, sensor_axes, sheet
-from ..numbers import MISSING, number, percent, plural, quantity_row, rounded_like, sigma
+from ..draw import BLUE, FAINT, GREY, HALF, INK, ORANGE, OUTLINED, png, sensor_axes, sensor_sheet, sheet
+from ..numbers import ARCSEC, number, percent, plural, rounded_like, sentence, sigma
 from ..section import Figure, Section, Table
 from ..story import Story
+from ..tables import quantity_table
 from . import _lens
 
 ORDER = 20
 TITLE = "Lens: intrinsics"
+MOST_NAMED_VIEWS = 40
 QUIVER_SHARE = 0.06  # of the image's width: the length of a typical residual's arrow
 
 
@@ -21,9 +23,11 @@ def render(story: Story) -> Section | None:
     if measurement is None or measurement.intrinsics is None:
         return None
     lens = measurement.intrinsics
-    figures = [*_lens.distortion(lens), _coverage(measurement), _residuals(measurement), _views(measurement), _lens.uncertainty(lens)]
+    others = [q for q in measurement.quantities if q.name not in lens.parameter_names]
+    figures = [*_lens.distortion(lens), _coverage(measurement), _residuals(measurement), _views(measurement),
+               _lens.uncertainty(lens)]
     return Section(paragraphs=(_summary(lens, measurement),), warnings=measurement.warnings,
-                   tables=(_parameters(lens, measurement), _others(lens, measurement)),
+                   tables=(_parameters(lens, measurement), quantity_table("How well the lens fits", others)),
                    figures=tuple(f for f in figures if f is not None))
 
 
@@ -31,9 +35,9 @@ def _summary(lens: Intrinsics, measurement: Measurement) -> str:
     w, h = lens.image_size_px
     fov = np.degrees(2 * np.arctan([w / 2 / lens.fx_px, h / 2 / lens.fy_px]))
     return (f"Model {lens.model}, from {plural(measurement.frames_used, 'view')}. One pixel at the optical axis is "
-            f"{number(float(np.degrees(1 / lens.fx_px)) * 3600)} arcsec; without distortion the field would be "
-            f"{fov[0]:.2f} × {fov[1]:.2f} degrees. The recommended uncertainty is clustered by view: corners of one view do not "
-            "err independently, which the classical one assumes.")
+            f"{number(ARCSEC / lens.fx_px)} arcsec; without distortion the field would be {fov[0]:.2f} × {fov[1]:.2f} degrees. "
+            "The recommended uncertainty is clustered by view: corners of one view do not err independently, which the "
+            "classical one assumes.")
 
 
 def _parameters(lens: Intrinsics, measurement: Measurement) -> Table:
@@ -42,16 +46,10 @@ def _parameters(lens: Intrinsics, measurement: Measurement) -> Table:
     rows = []
     for name, value, recommended, plain in zip(lens.parameter_names, lens.parameters, clustered, classical, strict=False):
         ratio = recommended / plain if plain > 0 else np.nan
-        rows.append((name.removesuffix("_px"), rounded_like(value, recommended), sigma(recommended), sigma(recommended, 3), sigma(plain),
-                     number(ratio, 2), "px" if name.endswith("_px") else ""))
+        rows.append((name.removesuffix("_px"), rounded_like(value, recommended), sigma(recommended), sigma(recommended, 3),
+                     sigma(plain), number(ratio, 2), "px" if name.endswith("_px") else ""))
     columns = ("Parameter", "Value", "1σ clustered", "3σ clustered", "1σ classical", "Clustered / classical", "Unit")
     return Table(title="Lens parameters", columns=columns, rows=tuple(rows), numbers=frozenset(columns[1:6]))
-
-
-def _others(lens: Intrinsics, measurement: Measurement) -> Table:
-    rows = tuple(quantity_row(q) for q in measurement.quantities if q.name not in lens.parameter_names)
-    return Table(title="How well the lens fits", columns=("Quantity", "Value ± 1σ", "3σ", "Unit", "Definition"), rows=rows,
-                 numbers=frozenset({"Value ± 1σ", "3σ"}))
 
 
 def _coverage(measurement: Measurement) -> Figure | None:
@@ -60,22 +58,22 @@ def _coverage(measurement: Measurement) -> Figure | None:
     if corners is None or count is None:
         return None
     w, h = measurement.image_size_px
-    made, (axes,) = sheet(HALF)
+    made, (axes,) = sensor_sheet((w, h))
     sensor_axes(axes, (w, h))
     rows, columns = count.shape
-    axes.imshow(np.where(count == 0, np.nan, count), extent=(-0.5, w - 0.5, h - 0.5, -0.5), cmap="Blues", alpha=0.45, vmin=0,
-                interpolation="nearest")
+    axes.imshow(count, extent=(-0.5, w - 0.5, h - 0.5, -0.5), cmap="Blues", alpha=0.45, vmin=0, interpolation="nearest")
     axes.plot(*corners.T, ".", color=BLUE, markersize=2.2, alpha=0.45)
     for row, column in np.ndindex(rows, columns):
         empty = count[row, column] == 0
-        axes.text((column + 0.5) * w / columns - 0.5, (row + 0.5) * h / rows - 0.5, str(count[row, column]), ha="center", va="center",
-                  fontsize=8, fontweight="bold", color=ORANGE if empty else INK, path_effects=OUTLINED)
+        axes.text((column + 0.5) * w / columns - 0.5, (row + 0.5) * h / rows - 0.5, str(count[row, column]), ha="center",
+                  va="center", fontsize=8, fontweight="bold", color=ORANGE if empty else INK, path_effects=OUTLINED)
     filled = int((count > 0).sum())
-    radius = np.hypot(*(corners - [(w - 1) / 2, (h - 1) / 2]).T).max() / np.hypot((w - 1) / 2, (h - 1) / 2)
+    middle = np.array([w - 1, h - 1]) / 2
+    radius = np.hypot(*(corners - middle).T).max() / np.hypot(*middle)
     return Figure(title="Coverage of the image by corners", png=png(made),
-                  reading=f"{len(corners)} corners fill {filled} of {count.size} cells (numbers: corners a cell); the outermost lies at "
-                          f"{percent(float(radius))} of the half diagonal" +
-                          ("." if filled == count.size else "; the lens is extrapolated in the empty cells."))
+                  reading=sentence(f"{len(corners)} corners fill {filled} of {count.size} cells (numbers: corners a cell)",
+                                   f"the outermost lies at {percent(radius)} of the half diagonal",
+                                   "" if filled == count.size else "the lens is extrapolated in the empty cells"))
 
 
 def _residuals(measurement: Measurement) -> Figure | None:
@@ -84,36 +82,34 @@ def _residuals(measurement: Measurement) -> Figure | None:
         return None
     xy, residual, inlier = evidence["corners_xy_px"], evidence["residual_px"], evidence["inlier"].astype(bool)
     length = np.hypot(*residual.T)
-    typical = float(np.median(length[inlier]))
+    outliers = np.count_nonzero(~inlier)
     scale = QUIVER_SHARE * measurement.image_size_px[0] / max(np.percentile(length[inlier], 95), 1e-9)
-    made, (axes,) = sheet(HALF)
+    made, (axes,) = sensor_sheet(measurement.image_size_px)
     sensor_axes(axes, measurement.image_size_px)
     arrows = {"angles": "xy", "scale_units": "xy", "scale": 1 / scale, "width": 0.0022}
     axes.quiver(*xy[inlier].T, *residual[inlier].T, color=BLUE, **arrows)
     axes.plot(*xy[~inlier].T, "x", color=ORANGE, markersize=6)
     return Figure(title=f"Corner residuals, drawn ×{number(scale, 2)}", png=png(made),
-                  reading=f"Measured minus projected, median length {number(typical, 2)} px, longest inlier "
-                          f"{number(float(length[inlier].max()), 2)} px; "
-                          f"{plural(int((~inlier).sum()), 'outlier')} of {len(xy)} corners "
-                          f"{'is' if (~inlier).sum() == 1 else 'are'} crossed out.")
+                  reading=sentence(f"measured minus projected: median length {number(np.median(length[inlier]), 2)} px, "
+                                   f"longest {number(length[inlier].max(), 2)} px",
+                                   f"crossed out: {plural(outliers, 'outlier')} among {len(xy)} corners"))
 
 
 def _views(measurement: Measurement) -> Figure | None:
     rms = measurement.evidence.get("view_rms_px")
     if rms is None:
         return None
-    names = [str(name).replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
-             for name in measurement.provenance.settings.get("views", range(1, len(rms) + 1))]
+    files = measurement.provenance.settings.get("views", range(1, len(rms) + 1))
+    names = [str(file).replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0] for file in files]
     made, (axes,) = sheet(HALF)
-    worst, median = int(np.argmax(rms)), float(np.median(rms))
+    worst, median = int(np.argmax(rms)), np.median(rms)
     axes.bar(range(len(rms)), rms, color=[ORANGE if i == worst else BLUE for i in range(len(rms))], width=0.7)
     axes.axhline(median, color=GREY, linestyle="--", linewidth=1, label=f"median {number(median, 3)} px")
-    if len(rms) <= 40:
+    if len(rms) <= MOST_NAMED_VIEWS:
         axes.set_xticks(range(len(rms)), names, rotation=60, ha="right", rotation_mode="anchor", fontsize=7)
     axes.grid(axis="y", color=FAINT)
-    axes.set(xlabel="view", ylabel="rms of the residuals (px)", ylim=(0, 1.18 * float(rms.max())))
+    axes.set(xlabel="view", ylabel="rms of the residuals (px)", ylim=(0, 1.18 * rms.max()))
     axes.legend(loc="upper right")
-    name = names[worst] if len(names) == len(rms) else MISSING
     return Figure(title="Residual of each view", png=png(made),
-                  reading=f"The worst view, {name}, has {number(float(rms[worst]), 3)} px, {number(float(rms[worst]) / median, 2)} times the "
-                          f"median of {number(median, 3)} px (all corners, outliers included).")
+                  reading=f"The worst view, {names[worst]}, has {number(rms[worst], 3)} px, {number(rms[worst] / median, 2)} times "
+                          f"the median of {number(median, 3)} px (all corners, outliers included).")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from ...records import Conditions, Limit, Verdict
-from ..numbers import MISSING, number, percent, plural, stated, with_uncertainty
+from ..numbers import number, percent, plural, stated, with_uncertainty
 from ..section import Badge, Section, Table
 from ..story import ShotStory, Story
 
@@ -20,8 +20,7 @@ def render(story: Story) -> Section:
 
 def _summary(story: Story) -> str:
     counts = Counter(v.status for v in story.verdicts)
-    said = [f"{plural(len(story.calmap.measured), 'layer')} of the map {'is' if len(story.calmap.measured) == 1 else 'are'} measured: "
-            + (", ".join(sorted(story.calmap.measured)) or "none") + "."]
+    said = ["Layers of the map that were measured: " + (", ".join(sorted(story.calmap.measured)) or "none") + "."]
     if story.verdicts:
         said.append(f"Of {plural(len(story.verdicts), 'limit')}, {counts['pass']} passed, {counts['fail']} failed and "
                     f"{counts['skipped']} could not be judged.")
@@ -65,15 +64,15 @@ def _conditions(conditions: Conditions) -> list[tuple[str, str]]:
 def _shots(shots: tuple[ShotStory, ...]) -> Table | None:
     rows = tuple((shot.name, shot.what, shot.why, str(shot.wanted), str(shot.found), Badge(status=shot.status),
                   "; ".join(shot.remarks)) for shot in shots)
-    return Table(title="Session", columns=("Shots", "What", "Why", "Wanted", "Found", "Status", "Remarks"), rows=rows,
-                 numbers=frozenset({"Wanted", "Found"})) if rows else None
+    columns = ("Shots", "What", "Why", "Wanted", "Found", "Status", "Remarks")
+    return Table(title="Session", columns=columns, rows=rows, numbers=frozenset({"Wanted", "Found"})) if rows else None
 
 
 def _verdicts(verdicts: tuple[Verdict, ...]) -> Table | None:
     rows = tuple((f"{v.limit.measurement}.{v.limit.quantity}", with_uncertainty(v.value, v.uncertainty), _bounds(v.limit),
                   v.limit.unit, Badge(status=v.status), v.reason, v.limit.why) for v in verdicts)
-    return Table(title="Verdicts", columns=("Quantity", "Value ± 1σ", "Limit", "Unit", "Verdict", "Reason", "Why this limit"), rows=rows,
-                 numbers=frozenset({"Value ± 1σ", "Limit"})) if rows else None
+    columns = ("Quantity", "Value ± 1σ", "Limit", "Unit", "Verdict", "Reason", "Why this limit")
+    return Table(title="Verdicts", columns=columns, rows=rows, numbers=frozenset({"Value ± 1σ", "Limit"})) if rows else None
 
 
 def _bounds(limit: Limit) -> str:
@@ -86,6 +85,8 @@ def _bounds(limit: Limit) -> str:
 
 def _timings(story: Story) -> Table | None:
     total = sum(story.seconds.values())
-    rows = tuple((step, number(seconds, 3), percent(seconds / total) if total else MISSING) for step, seconds in story.seconds.items())
+    if not total:
+        return None
+    rows = [(step, number(seconds, 3), percent(seconds / total)) for step, seconds in story.seconds.items()]
     return Table(title="Time spent", columns=("Step", "Time (s)", "Share"), rows=(*rows, ("all", number(total, 3), percent(1))),
-                 numbers=frozenset({"Time (s)", "Share"})) if rows else None
+                 numbers=frozenset({"Time (s)", "Share"}))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ..numbers import quantity_row
 from ..section import Section, Table
 from ..story import Story
+from ..tables import COLUMNS, NUMBERS, quantity_row
 
 ORDER = 90
 TITLE = "Provenance"
@@ -14,13 +14,12 @@ def render(story: Story) -> Section:
     calmap = story.calmap
     quantities = tuple((key.partition(".")[0], *quantity_row(quantity)) for key, quantity in calmap.quantities.items())
     tables = (
-        Table(title="Every quantity", columns=("Measurement", "Quantity", "Value ± 1σ", "3σ", "Unit", "Source"), rows=quantities,
-              numbers=frozenset({"Value ± 1σ", "3σ"})),
+        Table(title="Every quantity", columns=("Measurement", *COLUMNS), rows=quantities, numbers=NUMBERS),
         Table(title="Settings", columns=("Measurement", "Setting", "Value"), codes=frozenset({"Value"}), rows=tuple(
             (measurement, name, _text(value)) for measurement, settings in calmap.settings.items()
             for name, value in _items(settings))),
-        Table(title="Input frames", columns=("Measurement", "File", "SHA-256"), codes=frozenset({"File", "SHA-256"}), rows=tuple(
-            (*_parted(key), sha256) for key, sha256 in calmap.inputs.items())),
+        Table(title="Input frames", columns=("Measurement", "File", "SHA-256"), codes=frozenset({"File", "SHA-256"}),
+              rows=tuple((*_parted(key), sha256) for key, sha256 in calmap.inputs.items())),
         Table(title="Software", columns=("What", "Value"), codes=frozenset({"Value"}), rows=tuple(
             (what, value) for what, value in (("report made by", story.software), ("map made by", calmap.software),
                                               ("map created", calmap.created), ("protocol SHA-256", calmap.protocol_sha256))

@@ -7,16 +7,18 @@ from matplotlib.patches import Ellipse
 
 from ...records import Measurement, PsfMap
 from ...spots.psf import FWHM_PER_SIGMA, moments_at
-from ..draw import BLUE, FAINT, HALF, ORANGE, WIDE, grid_px, png, sensor_axes, sensor_field, sheet
-from ..numbers import number, percent, plural, quantity_row
-from ..section import Figure, Section, Table
+from ..draw import BLUE, FAINT, HALF, ORANGE, WIDE, grid_px, png, sensor_axes, sensor_field, sensor_sheet, sheet
+from ..numbers import number, percent, plural
+from ..section import Figure, Section
 from ..story import Story
+from ..tables import quantity_table
 
 ORDER = 50
 TITLE = "Point spread function"
 FIELD, ELLIPSES = (61, 41), (12, 8)
 PLACES = ((0.0, "centre"), (0.35, "35 % out"), (0.6, "60 % out"), (0.8, "80 % out"), (0.97, "corner"))
 STAMP_PX, OVERSAMPLING = 15, 9
+ROUND = 0.1
 
 
 def render(story: Story) -> Section | None:
@@ -25,13 +27,12 @@ def render(story: Story) -> Section | None:
         return None
     psf = measurement.psf
     figures = (_ellipses(psf), _width(psf), _ellipticity(psf), _stamps(psf), _encircled(measurement))
-    table = Table(title="PSF figures", columns=("Quantity", "Value ± 1σ", "3σ", "Unit", "Definition"),
-                  rows=tuple(quantity_row(q) for q in measurement.quantities), numbers=frozenset({"Value ± 1σ", "3σ"}))
-    return Section(paragraphs=(f"Moments as a polynomial of degree {psf.degree} over the field, from "
-                               f"{plural(len(psf.measured_xy_px), 'spot')}; they scatter about it by "
-                               f"{number(psf.residual_rms_px2, 2)} px² (rms). A centroid through this map means: {psf.centre}. "
-                               "Widths are those of the light before the pixel integrates it.",),
-                   warnings=measurement.warnings, tables=(table,), figures=tuple(f for f in figures if f is not None))
+    summary = (f"Moments as a polynomial of degree {psf.degree} over the field, from {plural(len(psf.measured_xy_px), 'spot')}; "
+               f"they scatter about it by {number(psf.residual_rms_px2, 2)} px² (rms). A centroid through this map means: "
+               f"{psf.centre}. Widths are those of the light before the pixel integrates it.")
+    return Section(paragraphs=(summary,), warnings=measurement.warnings,
+                   tables=(quantity_table("PSF figures", measurement.quantities),),
+                   figures=tuple(f for f in figures if f is not None))
 
 
 def shape(psf: PsfMap, xy_px: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -46,50 +47,49 @@ def _ellipses(psf: PsfMap) -> Figure:
     xy = grid_px(psf.image_size_px, *ELLIPSES, inset_px=w / 30)
     major, minor, angle = shape(psf, xy)
     scale = 0.4 * w / ELLIPSES[0] / (FWHM_PER_SIGMA / 2 * major.max())
-    made, (axes,) = sheet(HALF)
+    made, (axes,) = sensor_sheet(psf.image_size_px)
     sensor_axes(axes, psf.image_size_px)
     axes.plot(*psf.measured_xy_px.T, ".", color=ORANGE, markersize=2, alpha=0.7)
     for (x, y), a, b, turn in zip(xy, major, minor, angle, strict=True):
-        axes.add_patch(Ellipse((x, y), *(FWHM_PER_SIGMA * scale * np.array([a, b])), angle=np.degrees(turn), facecolor="none",
-                               edgecolor=BLUE, linewidth=1))
-    radial = np.abs(np.cos(angle - np.arctan2(*(xy - [(w - 1) / 2, (h - 1) / 2]).T[::-1])))
-    outer = np.hypot(*((xy / [w - 1, h - 1] - 0.5) * 2).T) > 0.7
-    along = float(np.mean(radial[outer] > np.cos(np.pi / 4)))
+        wide, narrow = FWHM_PER_SIGMA * scale * np.array([a, b])
+        axes.add_patch(Ellipse((x, y), wide, narrow, angle=np.degrees(turn), facecolor="none", edgecolor=BLUE, linewidth=1))
+    from_centre = xy - np.array([w - 1, h - 1]) / 2
+    outer = np.hypot(*from_centre.T) > w / 3
+    radius_angle = np.arctan2(from_centre[:, 1], from_centre[:, 0])
+    radial = np.abs(np.cos(angle - radius_angle)) > np.cos(np.pi / 4)
     return Figure(title=f"PSF over the field (ellipses of half maximum, ×{number(scale, 2)})", png=png(made),
-                  reading=f"Half-maximum ellipses from {number(float(FWHM_PER_SIGMA * minor.min()), 3)} px (smallest minor axis) to "
-                          f"{number(float(FWHM_PER_SIGMA * major.max()), 3)} px (largest major axis); in the outer field "
-                          f"{percent(along)} point along the radius. Dots: spots used.")
+                  reading=f"Axes from {number(FWHM_PER_SIGMA * minor.min(), 3)} to {number(FWHM_PER_SIGMA * major.max(), 3)} px; "
+                          f"in the outer field {percent(radial[outer].mean())} of the ellipses point along the radius rather "
+                          "than across it. Dots: spots used.")
 
 
 def _width(psf: PsfMap) -> Figure:
     xy = grid_px(psf.image_size_px, *FIELD)
     major, minor, _ = shape(psf, xy)
     fwhm = FWHM_PER_SIGMA * np.sqrt(major * minor)
-    made, (axes,) = sheet(HALF)
+    made, (axes,) = sensor_sheet(psf.image_size_px)
     sensor_field(axes, fwhm.reshape(FIELD[::-1]), psf.image_size_px, "FWHM, geometric mean of the axes (px)")
-    best, worst = int(np.argmin(fwhm)), int(np.argmax(fwhm))
+    (x, y), (far_x, far_y) = xy[np.argmin(fwhm)], xy[np.argmax(fwhm)]
     return Figure(title="Width over the field", png=png(made),
-                  reading=f"Sharpest at pixel ({xy[best, 0]:.0f}, {xy[best, 1]:.0f}) with {number(float(fwhm[best]), 3)} px, widest at "
-                          f"({xy[worst, 0]:.0f}, {xy[worst, 1]:.0f}) with {number(float(fwhm[worst]), 3)} px; median "
-                          f"{number(float(np.median(fwhm)), 3)} px.")
+                  reading=f"Sharpest at pixel ({x:.0f}, {y:.0f}) with {number(fwhm.min(), 3)} px, widest at ({far_x:.0f}, "
+                          f"{far_y:.0f}) with {number(fwhm.max(), 3)} px; median {number(np.median(fwhm), 3)} px.")
 
 
 def _ellipticity(psf: PsfMap) -> Figure:
     xy = grid_px(psf.image_size_px, *FIELD)
     major, minor, _ = shape(psf, xy)
     flattening = 1 - minor / major
-    made, (axes,) = sheet(HALF)
+    made, (axes,) = sensor_sheet(psf.image_size_px)
     sensor_field(axes, flattening.reshape(FIELD[::-1]), psf.image_size_px, "ellipticity 1 − b/a")
     coarse = grid_px(psf.image_size_px, 16, 10, inset_px=psf.image_size_px[0] / 30)
     a, b, turn = shape(psf, coarse)
     whisker = (1 - b / a)[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
     axes.quiver(*coarse.T, *whisker.T, angles="xy", pivot="middle", headaxislength=0, headlength=0, headwidth=1, color="white",
                 width=0.005)
-    worst = int(np.argmax(flattening))
+    x, y = xy[np.argmax(flattening)]
     return Figure(title="Ellipticity over the field (whiskers: major axis)", png=png(made),
-                  reading=f"Median {number(float(np.median(flattening)), 2)}, largest {number(float(flattening[worst]), 2)} at pixel "
-                          f"({xy[worst, 0]:.0f}, {xy[worst, 1]:.0f}); {percent(float((flattening < 0.1).mean()))} of the field is "
-                          "rounder than 0.1.")
+                  reading=f"Median {number(np.median(flattening), 2)}, largest {number(flattening.max(), 2)} at pixel ({x:.0f}, "
+                          f"{y:.0f}); {percent((flattening < ROUND).mean())} of the field is rounder than {ROUND:g}.")
 
 
 def stamp(moments: np.ndarray) -> np.ndarray:
@@ -110,15 +110,16 @@ def _stamps(psf: PsfMap) -> Figure:
     peaks = []
     for axes, (_, name), (x, y), moments in zip(row, PLACES, xy, moments_at(psf, xy), strict=True):
         image = stamp(moments)
-        peaks.append(float(image.max()))
+        peaks.append(image.max())
         half = STAMP_PX / 2
         drawn = axes.imshow(100 * image, extent=(-half, half, half, -half), cmap="cividis", vmin=0)
         axes.set_title(f"{name}, ({x:.0f}, {y:.0f})")
         axes.set(xlabel="x (px)", ylabel="y (px)" if axes is row[0] else "")
-        axes.figure.colorbar(drawn, ax=axes, orientation="horizontal", shrink=0.9, pad=0.03, aspect=24).set_label("light a pixel (%)")
+        bar = made.colorbar(drawn, ax=axes, orientation="horizontal", shrink=0.9, pad=0.03, aspect=24)
+        bar.set_label("light a pixel (%)")
     return Figure(title="A point's image from the centre to a corner, as the map has it", png=png(made), wide=True,
-                  reading=f"A star centred on a pixel puts {percent(peaks[0])} of its light into it at the centre of the image and "
-                          f"{percent(peaks[-1])} at the corner.")
+                  reading=f"A star centred on a pixel puts {percent(peaks[0])} of its light into it at the centre of the image "
+                          f"and {percent(peaks[-1])} at the corner.")
 
 
 def _encircled(measurement: Measurement) -> Figure | None:
@@ -134,4 +135,5 @@ def _encircled(measurement: Measurement) -> Figure | None:
     axes.set(xlabel="radius (px)", ylabel="light within the radius (%)", xlim=(0, float(radius[-1])), ylim=(0, 104))
     axes.grid(color=FAINT)
     return Figure(title="Encircled light, mean of all spots, pixel included", png=png(made),
-                  reading=f"Half of the light lies within {number(ee50, 3)} px of the spot's centre, 80 % within {number(ee80, 3)} px.")
+                  reading=f"Half of the light lies within {number(ee50, 3)} px of the spot's centre, 80 % within "
+                          f"{number(ee80, 3)} px.")
