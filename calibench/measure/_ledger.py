@@ -47,7 +47,7 @@ class Ledger:
             self.reject(frame, f"the same data as {self._seen[digest]}")
             return False
         self._seen[digest] = frame.name
-        self.inputs[frame.file or f"frame {len(self._seen)}"] = digest
+        self.inputs[frame.label or f"frame {len(self._seen)}"] = digest
         self.lossy |= frame.lossy
         for name, values in self._said.items():
             if getattr(frame, name) is not None:

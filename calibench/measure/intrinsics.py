@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -97,7 +98,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
             "view_rms_px": np.sqrt(np.mean(distance**2, axis=1)), "coverage_count": _coverage(corners, size),
             "held_out_rms_by_model_px": np.array([held_out.get(m, np.nan) for m in CANDIDATE_MODELS])},
         provenance=dataclasses.replace(provenance, settings={
-            **provenance.settings, "model": model, "refiner": refiner, "views": tuple(names)}),
+            **provenance.settings, "model": model, "refiner": refiner, "views": tuple(Path(name).name for name in names)}),
         warnings=tuple(warnings), frames_used=len(corners), frames_rejected=tuple(ledger.rejected))
 
 

@@ -54,6 +54,11 @@ class Frame:
         """The file's own name, for messages and tables."""
         return self.file.replace("\\", "/").rsplit("/", 1)[-1] or "(frame without a file)"
 
+    @property
+    def label(self) -> str:
+        """Folder and name of the file: what a map remembers of it (the rest of the path is this machine's business)."""
+        return "/".join(self.file.replace("\\", "/").rsplit("/", 2)[-2:])
+
 
 @dataclass(frozen=True, kw_only=True)
 class FrameStack:

@@ -13,7 +13,7 @@ from .arrays import frozen, settle
 class PsfMap:
     """Coefficients of the PSF over the field.
 
-    model: "gaussian": three rows, the pixel-integrated second moments (s_xx, s_yy, s_xy) in px^2.
+    model: "gaussian": three rows, second moments (s_xx, s_yy, s_xy) in px^2 of the light before the pixel integrates it.
     coefficients: (rows, terms), polynomial in (u, v), the pixel position scaled to [-1, 1] over the image, terms ordered
     by total degree then by power of v: 1, u, v, u^2, uv, v^2, ...
     centre: what point of the spot a centroid through this map means.

@@ -1,6 +1,6 @@
 """PatternTable: four-star patterns of the whole sky, searchable by the ratios of their sides, at every field size.
 
-1. The sky is covered with circles of radii from RADII_DEG, centres on a Fibonacci lattice 0.7 radius apart.
+1. The sky is covered with circles of each radius in RADII_DEG (stars/circles.py).
 2. In each circle the brightest STARS_PER_CIRCLE stars give all their groups of four; a group found twice is kept once.
 3. A pattern is the five ratios of its sorted six sides to the longest, which neither scale, rotation nor mirror changes.
 4. A k-d tree over the ratios answers: which patterns are within this tolerance.
@@ -14,13 +14,12 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from .circles import brightest_groups, unique_rows
 from .sky_catalogue import SkyCatalogue
 
 RADII_DEG = (2.2, 3.2, 4.6, 6.6, 9.5, 13.5, 19.0, 27.0)
 STARS_PER_CIRCLE = 7
-CLOSEST_FRACTION = 0.04  # of the circle's radius: two stars closer than this are one spot to a camera of that field
 SIDES = np.array(list(combinations(range(4), 2)))
-QUADS = np.array(list(combinations(range(STARS_PER_CIRCLE), 4)))
 
 
 def side_lengths(corners: np.ndarray) -> np.ndarray:
@@ -33,33 +32,6 @@ def side_ratios(lengths: np.ndarray) -> np.ndarray:
     """(..., 6) -> (..., 5): the five shorter sides over the longest, ascending."""
     ordered = np.sort(lengths, axis=-1)
     return ordered[..., :5] / ordered[..., 5:]
-
-
-def fibonacci_sphere(count: int) -> np.ndarray:
-    """(count, 3) evenly spread directions."""
-    i = np.arange(count) + 0.5
-    z, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
-    r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(turn), r * np.sin(turn), z], -1)
-
-
-def _quads_of_level(sky: SkyCatalogue, radius: float) -> np.ndarray:
-    """(Q, 4) star rows of all patterns of one circle size."""
-    # Only stars bright enough to be among the first few of a circle matter: thin the catalogue to 4 x that density.
-    brightest = min(len(sky.directions), int(4 * STARS_PER_CIRCLE * 2 / (1 - np.cos(radius))))
-    tree = cKDTree(sky.directions[:brightest])
-    close = tree.query_pairs(CLOSEST_FRACTION * radius, output_type="ndarray")
-    alone = np.ones(brightest, bool)
-    alone[close.max(1)] = False  # rows are sorted by brightness: the fainter of a close pair goes
-    rows = np.flatnonzero(alone)
-    tree = cKDTree(sky.directions[rows])
-    centres = fibonacci_sphere(int(4 * np.pi / (0.7 * radius) ** 2))
-    members = tree.query_ball_point(centres, 2 * np.sin(radius / 2), return_sorted=True)
-    top = {tuple(rows[m[:STARS_PER_CIRCLE]]) for m in members if len(m) >= 4}
-    full = np.array([t for t in top if len(t) == STARS_PER_CIRCLE]).reshape(-1, STARS_PER_CIRCLE)
-    quads = [full[:, QUADS].reshape(-1, 4)]
-    quads += [np.array(list(combinations(t, 4))) for t in top if len(t) < STARS_PER_CIRCLE]
-    return np.concatenate(quads)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +58,6 @@ class PatternTable:
         wanted = radii[(radii > 0.45 * low) & (radii < 1.5 * high)]
         if not len(wanted):
             wanted = radii[[np.argmin(np.abs(radii - low))]]
-        every = np.sort(np.concatenate([_quads_of_level(sky, r) for r in wanted]), axis=1).astype(np.int64)
-        n = len(sky.directions)
-        keys = np.unique(((every[:, 0] * n + every[:, 1]) * n + every[:, 2]) * n + every[:, 3])
-        rows = np.stack([keys // n**3, keys // n**2 % n, keys // n % n, keys % n], -1).astype(np.int32)
+        groups = np.concatenate([brightest_groups(sky, radius, STARS_PER_CIRCLE, 4) for radius in wanted])
+        rows = unique_rows(groups, len(sky.directions))
         return cls.from_rows(sky, rows)

@@ -1,4 +1,4 @@
-"""StarPairs: all pairs of the brighter stars that fit in a field, sorted by their angle, searched by bisection.
+"""StarPairs: pairs of the brighter stars that fit in a field, sorted by their angle, searched by bisection.
 
 Both orders of a pair are kept, so that a join over a common star needs no cases.
 """
@@ -10,36 +10,31 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from .circles import brightest_groups
 from .sky_catalogue import SkyCatalogue
 
-STARS_PER_FIELD = 22
-MOST_PAIRS = 1_500_000
+STARS_PER_CIRCLE = 24  # the circle about a 4:3 frame: the frame itself holds some 14 of them
 
 
 @dataclass(frozen=True, kw_only=True)
 class StarPairs:
-    """angle_rad (P,) ascending; first, second (P,) star rows."""
+    """angle_rad (P,) ascending; first, second (P,) star rows; stars (K,) the rows that occur, tree over their directions."""
 
     angle_rad: np.ndarray
     first: np.ndarray
     second: np.ndarray
-    brightest: int
+    stars: np.ndarray
+    tree: cKDTree
 
     @classmethod
     def build(cls, sky: SkyCatalogue, half_diagonal_rad: float) -> StarPairs:
-        """Pairs up to the field's diagonal among so many of the brightest stars that a field holds STARS_PER_FIELD."""
-        field = 2 * np.pi * (1 - np.cos(half_diagonal_rad)) * 0.6
-        brightest = int(min(len(sky.directions), STARS_PER_FIELD * 4 * np.pi / field))
-        tree = cKDTree(sky.directions[:brightest])
-        chord = 2 * np.sin(half_diagonal_rad)
-        while tree.count_neighbors(tree, chord) > MOST_PAIRS:  # a very wide field: fewer stars serve
-            brightest = int(0.8 * brightest)
-            tree = cKDTree(sky.directions[:brightest])
-        pairs = tree.query_pairs(chord, output_type="ndarray")
+        """Pairs of the brightest stars of every circle of the field's size."""
+        pairs = brightest_groups(sky, half_diagonal_rad, STARS_PER_CIRCLE, 2)
         a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
         angle = 2 * np.arcsin(np.linalg.norm(sky.directions[a] - sky.directions[b], axis=1) / 2)
         order = np.argsort(angle, kind="stable")
-        return cls(angle_rad=angle[order], first=a[order], second=b[order], brightest=brightest)
+        stars = np.unique(pairs)
+        return cls(angle_rad=angle[order], first=a[order], second=b[order], stars=stars, tree=cKDTree(sky.directions[stars]))
 
     def between(self, low_rad: float, high_rad: float) -> tuple[np.ndarray, np.ndarray]:
         """(first, second) star rows of all pairs whose angle lies in [low, high], both orders."""

@@ -4,7 +4,7 @@ For a triangle of unit vectors with sides a = |V1 - V2|, b = |V2 - V3|, c = |V3 
 
     A = sqrt(s (s-a) (s-b) (s-c))          J = A (a^2 + b^2 + c^2) / 36
 
-1. The catalogue's triangles: every star with its brightest neighbours within the field.
+1. The catalogue's triangles: of the brightest stars in every circle of the field's size (stars/circles.py).
 2. Triples of the brightest spots, A and J each with a tolerance propagated from the corners' covariance:
    dA = sum |dA/da| da and so on. (The thesis's fixed tolerance, far below the noise, fails from 0.04 % of a pixel on.)
 3. Those within both tolerances are proposed, the corners put in order by their sides.
@@ -17,14 +17,14 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from ..circles import brightest_groups
 from ..sky_catalogue import SkyCatalogue
 from ..view import TOLERANCE_SIGMA, View
 
 NEEDS_SCALE = True
 TRIANGLE_SPOTS = 9
-STARS_PER_FIELD = 11
+STARS_PER_CIRCLE = 13  # the circle about a 4:3 frame: the frame itself holds some 8 of them
 MOST_PROPOSALS = 200_000
 
 
@@ -55,18 +55,9 @@ def table_key(view: View) -> float:
 
 
 def build(sky: SkyCatalogue, key: float) -> TriangleTable:
-    """Triangles of each star with pairs of its neighbours no farther than the field's diagonal."""
+    """Triangles of the brightest stars of every circle the size of the field, no wider than its diagonal."""
     half = min(key, np.pi / 2)
-    field = 2 * np.pi * (1 - np.cos(half)) * 0.6
-    brightest = int(min(len(sky.directions), STARS_PER_FIELD * 4 * np.pi / field))
-    tree = cKDTree(sky.directions[:brightest])
-    rows = []
-    for star, near in enumerate(tree.query_ball_point(sky.directions[:brightest], 2 * np.sin(half), return_sorted=True)):
-        brighter = np.array([r for r in near if r < star])[-2 * STARS_PER_FIELD:]  # each triangle once: star is its faintest
-        if len(brighter) > 1:
-            i, j = np.triu_indices(len(brighter), 1)
-            rows.append(np.stack([brighter[i], brighter[j], np.full(len(i), star)], -1))
-    triangles = np.concatenate(rows)
+    triangles = brightest_groups(sky, half, STARS_PER_CIRCLE, 3)
     sides = triangle_sides(sky.directions[triangles])
     keep = sides.max(1) < 2 * np.sin(half)
     area, moment = area_and_moment(sides[keep])

@@ -88,9 +88,9 @@ def _confirm(view: View, sky: SkyCatalogue, pairs: StarPairs, triple: tuple[int,
     found, corners = found[solvable], corners[solvable]
     there = np.linalg.solve(corners, np.broadcast_to(np.cos(angle), (len(found), 3))[..., None])[..., 0]
     there /= np.maximum(np.linalg.norm(there, axis=1, keepdims=True), 1e-12)
-    distance, star = sky.tree.query(there, distance_upper_bound=float(10 * slack.max()))
-    has = np.isfinite(distance) & (star < pairs.brightest)
-    found, star = found[has], star[has]
+    distance, nearest = pairs.tree.query(there, distance_upper_bound=float(10 * slack.max()))
+    has = np.isfinite(distance)
+    found, star = found[has], pairs.stars[nearest[has]]
     seen = 2 * np.arcsin(np.clip(np.linalg.norm(sky.directions[found] - sky.directions[star][:, None], axis=-1) / 2, 0, 1))
     fits = (np.abs(seen - angle) < slack).all(1) & (found != star[:, None]).all(1)
     star_rows = np.concatenate([found[fits], star[fits][:, None]], 1)
