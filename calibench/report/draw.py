@@ -16,9 +16,10 @@ BLUE, ORANGE, GREEN, RED = "#2f6690", "#c8672b", "#4f8a5b", "#a8323a"  # told ap
 SEQUENTIAL, DIVERGING = "cividis", "RdBu_r"
 OUTLINED = [withStroke(linewidth=2, foreground="white")]  # letters over an image
 HALF, WIDE = (5.6, 3.75), (11.4, 3.5)  # inches
-BESIDE_IN, BELOW_IN = 1.45, 0.8  # what labels and colour bar take from the width, labels and titles from the height
+LABELS_IN, BAR_IN = 0.7, 0.75  # what labels and colour bar take from the width
+BELOW_IN, TITLE_IN = 0.6, 0.25  # what labels, and the titles of several panels, take from the height
 TALLEST_IN = 8.0
-SHADES = 48  # more are not told apart, and noise in many shades makes large files
+SHADES = 64  # more are not told apart, and noise in many shades makes large files
 DPI = 110
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8.5, "text.color": INK,
@@ -43,10 +44,11 @@ def sheet(size_in: tuple[float, float] = HALF, columns: int = 1, rows: int = 1, 
     return made, np.ravel(made.subplots(rows, columns, **subplots))
 
 
-def sensor_sheet(image_size_px: tuple[int, int], *, wide: bool = False, columns: int = 1) -> tuple[Sheet, np.ndarray]:
-    """A sheet whose axes have the sensor's proportions."""
+def sensor_sheet(image_size_px: tuple[int, int], *, wide: bool = False, columns: int = 1,
+                 bars: bool = True) -> tuple[Sheet, np.ndarray]:
+    """A sheet whose axes have the sensor's proportions; bars: leave room for colour bars."""
     width_in = (WIDE if wide else HALF)[0]
-    height_in = (width_in / columns - BESIDE_IN) * image_size_px[1] / image_size_px[0] + BELOW_IN
+    height_in = (width_in / columns - LABELS_IN - bars * BAR_IN) * image_size_px[1] / image_size_px[0] + BELOW_IN + TITLE_IN * (columns > 1)
     return sheet((width_in, min(height_in, TALLEST_IN)), columns)
 
 
@@ -71,7 +73,8 @@ def sensor_image(axes: Axes, image: np.ndarray, label: str, *, title: str = "", 
     low, high = limits or middle(image)
     h, w = image.shape
     sensor_axes(axes, (w, h), title)
-    drawn = axes.imshow(image, cmap=matplotlib.colormaps[cmap].resampled(SHADES), vmin=low, vmax=high, interpolation="antialiased")
+    drawn = axes.imshow(image, cmap=matplotlib.colormaps[cmap].resampled(SHADES), vmin=low, vmax=high,
+                        interpolation="antialiased", interpolation_stage="data")
     _colour_bar(axes, drawn, label, float(np.nanmin(image)) < low, float(np.nanmax(image)) > high)
 
 

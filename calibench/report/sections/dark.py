@@ -88,7 +88,7 @@ def _offset(measurement: Measurement) -> Figure | None:
     low, high = middle(offset)
     columns, rows = (np.median(offset, axis=axis).std() for axis in (0, 1))
     return Figure(title="Offset", png=png(made),
-                  reading=f"Median {number(np.median(offset))} DN, the middle 98 % between {number(low)} and {number(high)} DN; "
+                  reading=f"Median {number(np.median(offset))} DN, the middle 98 % from {number(low)} to {number(high)} DN; "
                           f"medians of columns scatter by {number(columns, 2)} DN, of rows by {number(rows, 2)} DN (1σ).")
 
 
@@ -106,8 +106,8 @@ def _rate(measurement: Measurement, gain_dn_per_e: float) -> Figure | None:
     sensor_image(axes, rate, f"dark rate ({unit})")
     row, column = np.unravel_index(int(np.argmax(rate)), rate.shape)
     return Figure(title="Dark rate", png=png(made),
-                  reading=f"Median {number(np.median(rate), 3)} {unit}, mean {number(rate.mean(), 3)} {unit}; the hottest pixel, "
-                          f"({column}, {row}), collects {number(rate.max(), 3)} {unit}.")
+                  reading=f"Median {number(np.median(rate), 3)} {unit}, mean {number(rate.mean(), 3)} {unit}; the hottest "
+                          f"pixel, ({column}, {row}), collects {number(rate.max(), 3)} {unit}.")
 
 
 def _rate_histogram(measurement: Measurement, gain_dn_per_e: float) -> Figure | None:
@@ -136,7 +136,7 @@ def _defect_map(measurement: Measurement) -> Figure | None:
     if defects is None:
         return None
     h, w = defects.shape
-    made, (axes,) = sensor_sheet((w, h))
+    made, (axes,) = sensor_sheet((w, h), bars=False)
     sensor_axes(axes, (w, h))
     said = []
     for name, (colour, marker) in MARKS.items():
@@ -150,8 +150,8 @@ def _defect_map(measurement: Measurement) -> Figure | None:
         axes.legend(loc="upper left", bbox_to_anchor=(-0.12, -0.16), ncols=len(MARKS), handletextpad=0.1, columnspacing=1.2)
     left, right = np.count_nonzero(bad[:, :w // 2]), np.count_nonzero(bad[:, w // 2:])
     return Figure(title="Where the hot pixels are", png=png(made),
-                  reading=f"{', '.join(said) or 'No defect found'}: {percent(bad.mean())} of {defects.size} pixels carry one of "
-                          f"these flags, {left} in the left half of the image and {right} in the right.")
+                  reading=f"{', '.join(said) or 'No defect found'}: {percent(bad.mean())} of {defects.size} pixels carry one "
+                          f"of these flags, {left} in the left half of the image and {right} in the right.")
 
 
 def _ladder(measurement: Measurement) -> Figure | None:

@@ -20,8 +20,8 @@ def render(story: Story) -> Section | None:
     if measurement is None:
         return None
     figures = (_response(measurement), _illumination(measurement), _histogram(measurement), _transfer(measurement))
-    summary = (f"{plural(measurement.frames_used, 'frame')} used. The response belongs to the sensor and is divided out of every "
-               "frame; the illumination belongs to lamp and lens and is not.")
+    summary = (f"{plural(measurement.frames_used, 'frame')} used. The response belongs to the sensor and is divided out of "
+               "every frame; the illumination belongs to lamp and lens and is not.")
     return Section(paragraphs=(summary,), warnings=measurement.warnings,
                    tables=(quantity_table("Flat figures", measurement.quantities),),
                    figures=tuple(f for f in figures if f is not None))
@@ -79,13 +79,14 @@ def _histogram(measurement: Measurement) -> Figure | None:
     normal = np.exp(-0.5 * ((centre - typical) / sd) ** 2) / (sd * np.sqrt(2 * np.pi)) * response.size * np.diff(edges)
     axes.plot(centre, normal, color=INK, linewidth=1, linestyle="--", label=f"normal law of σ = {number(100 * sd, 3)} %")
     axes.set_yscale("log")
-    axes.set(xlabel="response (mean = 1)", ylabel="pixels a bin (logarithmic)", ylim=(0.7, None), xlim=(edges[0], edges[-1]))
+    axes.set(xlabel="response (mean = 1)", ylabel="pixels a bin (logarithmic)", ylim=(0.7, 2 * count.max()),
+             xlim=(edges[0], edges[-1]))
     axes.grid(axis="y", color=FAINT)
     axes.legend(loc="upper left")
     far = np.abs(response - typical) > 5 * sd
     return Figure(title="Responses of all pixels", png=png(made),
-                  reading=f"Beyond 5σ of the core: {plural(np.count_nonzero(far), 'pixel')} ({percent(far.mean())}); the weakest "
-                          f"responds with {number(response.min(), 3)}, the strongest with {number(response.max(), 3)}.")
+                  reading=f"Beyond 5σ of the core: {plural(np.count_nonzero(far), 'pixel')} ({percent(far.mean())}); the "
+                          f"weakest responds with {number(response.min(), 3)}, the strongest with {number(response.max(), 3)}.")
 
 
 def _transfer(measurement: Measurement) -> Figure | None:

@@ -58,7 +58,7 @@ def _coverage(measurement: Measurement) -> Figure | None:
     if corners is None or count is None:
         return None
     w, h = measurement.image_size_px
-    made, (axes,) = sensor_sheet((w, h))
+    made, (axes,) = sensor_sheet((w, h), bars=False)
     sensor_axes(axes, (w, h))
     rows, columns = count.shape
     axes.imshow(count, extent=(-0.5, w - 0.5, h - 0.5, -0.5), cmap="Blues", alpha=0.45, vmin=0, interpolation="nearest")
@@ -84,7 +84,7 @@ def _residuals(measurement: Measurement) -> Figure | None:
     length = np.hypot(*residual.T)
     outliers = np.count_nonzero(~inlier)
     scale = QUIVER_SHARE * measurement.image_size_px[0] / max(np.percentile(length[inlier], 95), 1e-9)
-    made, (axes,) = sensor_sheet(measurement.image_size_px)
+    made, (axes,) = sensor_sheet(measurement.image_size_px, bars=False)
     sensor_axes(axes, measurement.image_size_px)
     arrows = {"angles": "xy", "scale_units": "xy", "scale": 1 / scale, "width": 0.0022}
     axes.quiver(*xy[inlier].T, *residual[inlier].T, color=BLUE, **arrows)
@@ -111,5 +111,6 @@ def _views(measurement: Measurement) -> Figure | None:
     axes.set(xlabel="view", ylabel="rms of the residuals (px)", ylim=(0, 1.18 * rms.max()))
     axes.legend(loc="upper right")
     return Figure(title="Residual of each view", png=png(made),
-                  reading=f"The worst view, {names[worst]}, has {number(rms[worst], 3)} px, {number(rms[worst] / median, 2)} times "
-                          f"the median of {number(median, 3)} px (all corners, outliers included).")
+                  reading=f"The worst view, {names[worst]}, has {number(rms[worst], 3)} px, "
+                          f"{number(rms[worst] / median, 2)} times the median of "
+                          f"{number(median, 3)} px (all corners, outliers included).")

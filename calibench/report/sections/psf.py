@@ -7,7 +7,7 @@ from matplotlib.patches import Ellipse
 
 from ...records import Measurement, PsfMap
 from ...spots.psf import FWHM_PER_SIGMA, moments_at
-from ..draw import BLUE, FAINT, HALF, ORANGE, WIDE, grid_px, png, sensor_axes, sensor_field, sensor_sheet, sheet
+from ..draw import BLUE, FAINT, HALF, ORANGE, SEQUENTIAL, WIDE, grid_px, png, sensor_axes, sensor_field, sensor_sheet, sheet
 from ..numbers import number, percent, plural
 from ..section import Figure, Section
 from ..story import Story
@@ -17,7 +17,7 @@ ORDER = 50
 TITLE = "Point spread function"
 FIELD, ELLIPSES = (61, 41), (12, 8)
 PLACES = ((0.0, "centre"), (0.35, "35 % out"), (0.6, "60 % out"), (0.8, "80 % out"), (0.97, "corner"))
-STAMP_PX, OVERSAMPLING = 15, 9
+STAMP_PX, OVERSAMPLING = 11, 9
 ROUND = 0.1
 
 
@@ -27,7 +27,8 @@ def render(story: Story) -> Section | None:
         return None
     psf = measurement.psf
     figures = (_ellipses(psf), _width(psf), _ellipticity(psf), _stamps(psf), _encircled(measurement))
-    summary = (f"Moments as a polynomial of degree {psf.degree} over the field, from {plural(len(psf.measured_xy_px), 'spot')}; "
+    spots = plural(len(psf.measured_xy_px), "spot")
+    summary = (f"Moments as a polynomial of degree {psf.degree} over the field, from {spots}; "
                f"they scatter about it by {number(psf.residual_rms_px2, 2)} px² (rms). A centroid through this map means: "
                f"{psf.centre}. Widths are those of the light before the pixel integrates it.")
     return Section(paragraphs=(summary,), warnings=measurement.warnings,
@@ -47,7 +48,7 @@ def _ellipses(psf: PsfMap) -> Figure:
     xy = grid_px(psf.image_size_px, *ELLIPSES, inset_px=w / 30)
     major, minor, angle = shape(psf, xy)
     scale = 0.4 * w / ELLIPSES[0] / (FWHM_PER_SIGMA / 2 * major.max())
-    made, (axes,) = sensor_sheet(psf.image_size_px)
+    made, (axes,) = sensor_sheet(psf.image_size_px, bars=False)
     sensor_axes(axes, psf.image_size_px)
     axes.plot(*psf.measured_xy_px.T, ".", color=ORANGE, markersize=2, alpha=0.7)
     for (x, y), a, b, turn in zip(xy, major, minor, angle, strict=True):
@@ -58,9 +59,9 @@ def _ellipses(psf: PsfMap) -> Figure:
     radius_angle = np.arctan2(from_centre[:, 1], from_centre[:, 0])
     radial = np.abs(np.cos(angle - radius_angle)) > np.cos(np.pi / 4)
     return Figure(title=f"PSF over the field (ellipses of half maximum, ×{number(scale, 2)})", png=png(made),
-                  reading=f"Axes from {number(FWHM_PER_SIGMA * minor.min(), 3)} to {number(FWHM_PER_SIGMA * major.max(), 3)} px; "
-                          f"in the outer field {percent(radial[outer].mean())} of the ellipses point along the radius rather "
-                          "than across it. Dots: spots used.")
+                  reading=f"Axes from {number(FWHM_PER_SIGMA * minor.min(), 3)} to {number(FWHM_PER_SIGMA * major.max(), 3)} "
+                          f"px; in the outer field {percent(radial[outer].mean())} of the ellipses point along the radius "
+                          "rather than across it. Dots: spots used.")
 
 
 def _width(psf: PsfMap) -> Figure:
@@ -88,8 +89,8 @@ def _ellipticity(psf: PsfMap) -> Figure:
                 width=0.005)
     x, y = xy[np.argmax(flattening)]
     return Figure(title="Ellipticity over the field (whiskers: major axis)", png=png(made),
-                  reading=f"Median {number(np.median(flattening), 2)}, largest {number(flattening.max(), 2)} at pixel ({x:.0f}, "
-                          f"{y:.0f}); {percent((flattening < ROUND).mean())} of the field is rounder than {ROUND:g}.")
+                  reading=f"Median {number(np.median(flattening), 2)}, largest {number(flattening.max(), 2)} at pixel "
+                          f"({x:.0f}, {y:.0f}); {percent((flattening < ROUND).mean())} of the field is rounder than {ROUND:g}.")
 
 
 def stamp(moments: np.ndarray) -> np.ndarray:
@@ -103,20 +104,18 @@ def stamp(moments: np.ndarray) -> np.ndarray:
 
 
 def _stamps(psf: PsfMap) -> Figure:
-    """Rendered images from the centre to the lower right corner, each on its own scale."""
+    """Rendered images from the centre to the lower right corner, all on one scale."""
     w, h = psf.image_size_px
     xy = np.array([[(w - 1) / 2 * (1 + share), (h - 1) / 2 * (1 + share)] for share, _ in PLACES])
-    made, row = sheet((WIDE[0], 2.75), len(PLACES))
-    peaks = []
-    for axes, (_, name), (x, y), moments in zip(row, PLACES, xy, moments_at(psf, xy), strict=True):
-        image = stamp(moments)
-        peaks.append(image.max())
-        half = STAMP_PX / 2
-        drawn = axes.imshow(100 * image, extent=(-half, half, half, -half), cmap="cividis", vmin=0)
+    images = [stamp(moments) for moments in moments_at(psf, xy)]
+    peaks = [image.max() for image in images]
+    made, row = sheet((WIDE[0], 2.65), len(PLACES))
+    half = STAMP_PX / 2
+    for axes, (_, name), (x, y), image in zip(row, PLACES, xy, images, strict=True):
+        drawn = axes.imshow(100 * image, extent=(-half, half, half, -half), cmap=SEQUENTIAL, vmin=0, vmax=100 * max(peaks))
         axes.set_title(f"{name}, ({x:.0f}, {y:.0f})")
         axes.set(xlabel="x (px)", ylabel="y (px)" if axes is row[0] else "")
-        bar = made.colorbar(drawn, ax=axes, orientation="horizontal", shrink=0.9, pad=0.03, aspect=24)
-        bar.set_label("light a pixel (%)")
+    made.colorbar(drawn, ax=list(row), pad=0.01, aspect=24).set_label("light a pixel (%)")
     return Figure(title="A point's image from the centre to a corner, as the map has it", png=png(made), wide=True,
                   reading=f"A star centred on a pixel puts {percent(peaks[0])} of its light into it at the centre of the image "
                           f"and {percent(peaks[-1])} at the corner.")

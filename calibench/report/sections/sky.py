@@ -20,6 +20,7 @@ TITLE = "Night sky"
 MAGNIFIED = 100
 NAMED, UNMATCHED = 24, 12  # at most so many matched stars, and catalogue stars without a spot, get a name in the overlay
 BRIGHT_MAGNITUDE = 5.0
+LABEL_SIZE = (0.06, 0.015)  # width and height of a name, in widths of the image
 
 
 def render(story: Story) -> Section | None:
@@ -27,14 +28,16 @@ def render(story: Story) -> Section | None:
         return None
     figures = [figure for sky in story.sky for figure in (_overlay(sky, story), _residuals(sky)) if figure is not None]
     warnings = tuple(f"{sky.name}: {_failure(sky.calibrated)}" for sky in story.sky if sky.calibrated.status != "solved")
-    summary = ("Each frame was solved lost in space, without the map (a guessed ideal lens) and with it. Errors are against truth "
-               "where it is known; σ are the solution's own random errors, across the boresight and in roll about it.")
-    return Section(paragraphs=(summary,), warnings=warnings, tables=(_accuracy(story), _pointing(story)), figures=tuple(figures))
+    summary = ("Each frame was solved lost in space, without the map and with it. Without it a lens is fitted to the frame's "
+               "own stars, which takes residuals away but not the error of the attitude. Errors are against truth where it is "
+               "known; σ are the solution's own random errors, across the boresight and in roll about it.")
+    return Section(paragraphs=(summary,), warnings=warnings, tables=(_accuracy(story), _pointing(story)),
+                   figures=tuple(figures))
 
 
 def _accuracy(story: Story) -> Table:
     columns = ("Frame", "Map", "Status", "Matched", "Spots", "Residual (px)", "Residual (arcsec)", "Error (arcsec)",
-               "Roll error (arcsec)", "σ cross 1σ, 3σ (arcsec)", "σ roll 1σ, 3σ (arcsec)", "False match")
+               "Roll error (arcsec)", "Cross 1σ, 3σ (arcsec)", "Roll 1σ, 3σ (arcsec)", "False match")
     rows = tuple((sky.name, which, *_figures(solution, sky.truth)) for sky in story.sky
                  for which, solution in (("without", sky.raw), ("with", sky.calibrated)))
     return Table(title="Without and with the map", columns=columns, rows=rows, numbers=frozenset(columns[3:]),
@@ -61,7 +64,8 @@ def _pointing(story: Story) -> Table:
         sky.calibrated.ra_rad, sky.calibrated.dec_rad, sky.calibrated.roll_rad)),
         f"{np.degrees(sky.calibrated.fov_rad):.3f}" if np.isfinite(sky.calibrated.fov_rad) else MISSING,
         number(1e3 * sum(sky.calibrated.timings_s.values()), 3)) for sky in story.sky)
-    return Table(title="Where the image's centre looks (with the map)", columns=columns, rows=rows, numbers=frozenset(columns[1:]),
+    return Table(title="Where the image's centre looks (with the map)", columns=columns, rows=rows,
+                 numbers=frozenset(columns[1:]),
                  note="ICRS axes; roll: position angle of the image's up direction, east of north; field: horizontal.")
 
 
@@ -76,7 +80,7 @@ def _arcsec_per_px(solution: Solution) -> float:
 def _overlay(sky: SkyStory, story: Story) -> Figure:
     solution, found = sky.calibrated, sky.calibrated.identification
     h, w = sky.signal_dn.shape
-    made, (axes,) = sensor_sheet((w, h), wide=True)
+    made, (axes,) = sensor_sheet((w, h), wide=True, bars=False)
     sensor_axes(axes, (w, h))
     axes.imshow(_stretched(sky.signal_dn), cmap="Greys", vmin=0, vmax=1, interpolation="antialiased")
     others = np.setdiff1d(np.arange(len(solution.spots)), found.spot_rows)
@@ -100,7 +104,7 @@ def _stretched(signal_dn: np.ndarray) -> np.ndarray:
     """(H, W) from 0 (sky) to 1 (brightest star), logarithmic far above the noise, so that faint and bright are seen."""
     level = np.median(signal_dn)
     noise = max(1.4826 * float(np.median(np.abs(signal_dn - level))), 1e-6)
-    above = np.arcsinh(np.maximum(signal_dn - level - 1.5 * noise, 0) / (2 * noise))
+    above = np.arcsinh(np.maximum(signal_dn - level - 2.5 * noise, 0) / (2 * noise))
     return above / max(float(above.max()), 1e-6)
 
 
@@ -113,27 +117,32 @@ def _name_stars(axes: Axes, sky: SkyStory, names: Mapping[int, str]) -> list[str
         hip = int(catalogue.table.hip[row])
         return names.get(hip, f"HIP {hip}")
     bright = np.argsort(catalogue.magnitude[found.star_rows], kind="stable")[:NAMED]
-    for xy, row in zip(found.xy_px[bright], found.star_rows[bright], strict=True):
-        _label(axes, xy, name(row), BLUE)
+    labels = [(xy, name(row), BLUE) for xy, row in zip(found.xy_px[bright], found.star_rows[bright], strict=True)]
     matrix = rotation.matrix_from_quaternion(sky.calibrated.attitude.q_cam_icrs)
     xy_px = projection.project(found.intrinsics, catalogue.directions @ matrix.T)
     inside = ((xy_px > -0.5) & (xy_px < size_px - 0.5)).all(1) & (catalogue.magnitude < BRIGHT_MAGNITUDE)
     expected = np.flatnonzero(inside)  # in the order of the catalogue: brightest first
     missed = np.setdiff1d(expected, found.star_rows)
-    axes.plot(*xy_px[missed].T, "x", color=GREY, markersize=6, label=f"catalogue, Hp < {BRIGHT_MAGNITUDE:g}, no spot ({len(missed)})")
-    for row in missed[:UNMATCHED]:
-        _label(axes, xy_px[row], name(row), INK)
+    axes.plot(*xy_px[missed].T, "x", color=GREY, markersize=6,
+              label=f"catalogue, Hp < {BRIGHT_MAGNITUDE:g}, no spot ({len(missed)})")
+    _label(axes, labels + [(xy_px[row], name(row), INK) for row in missed[:UNMATCHED]])
     first = found.star_rows[bright[0]]
     return [f"the brightest matched is {name(first)}, Hp {catalogue.magnitude[first]:.1f}",
             f"matched are {len(expected) - len(missed)} of the {len(expected)} catalogue stars in the field brighter than Hp "
             f"{BRIGHT_MAGNITUDE:g}"]
 
 
-def _label(axes: Axes, xy: np.ndarray, text: str, colour: str) -> None:
-    """Text beside a star, towards the middle of the image where the edge is near."""
-    left = xy[0] < 0.88 * axes.get_xlim()[1]
-    axes.annotate(text, xy, xytext=(6 if left else -6, 4), textcoords="offset points", ha="left" if left else "right",
-                  fontsize=7.5, color=colour, path_effects=OUTLINED)
+def _label(axes: Axes, labels: list[tuple[np.ndarray, str, str]]) -> None:
+    """(place, text, colour) beside each star, towards the middle where the edge is near; none upon one before it."""
+    width_px = axes.get_xlim()[1]
+    taken = np.zeros((0, 2))
+    for xy, text, colour in labels:
+        if (np.abs(taken - xy) < np.array(LABEL_SIZE) * width_px).all(1).any():
+            continue
+        taken = np.vstack([taken, xy])
+        left = xy[0] < 0.88 * width_px
+        axes.annotate(text, xy, xytext=(6 if left else -6, 4), textcoords="offset points", ha="left" if left else "right",
+                      fontsize=7.5, color=colour, path_effects=OUTLINED)
 
 
 def _residuals(sky: SkyStory) -> Figure | None:
@@ -142,7 +151,7 @@ def _residuals(sky: SkyStory) -> Figure | None:
     if not solved:
         return None
     h, w = sky.signal_dn.shape
-    made, panels = sensor_sheet((w, h), wide=True, columns=2)
+    made, panels = sensor_sheet((w, h), wide=True, columns=2, bars=False)
     said = []
     for axes, (name, solution) in zip(panels, solved, strict=False):
         sensor_axes(axes, (w, h), f"{name}: rms {number(_rms_px(solution), 3)} px")
