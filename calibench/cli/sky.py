@@ -32,9 +32,9 @@ def solve(frames: Frames, map_: Map = None,
     from ..session.sky import Sky, solve_files
     settings = _settings(detector, centroid, attitude, identify, k_sigma)
     calmap = read_map(map_) if map_ else None
-    paths = find_frames(frames)
     lens_known = calmap is not None and "intrinsics" in calmap.measured
     _check_scale(identify, lens_known or fov_deg is not None)
+    paths = find_frames(frames)
     if lens_known and fov_deg is not None:
         say("the map's lens is used; --fov-deg is not needed and was not used")
     sky, out = Sky(method=identify), []

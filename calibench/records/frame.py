@@ -86,7 +86,7 @@ class CorrectedFrame:
     """A frame after the map: offset and dark removed, response divided out.
 
     signal_dn: (H, W) float32, DN above dark. variance_dn2: (H, W) float32, random part for one pixel of this frame
-    (read noise, shot noise where the gain is known); NaN where the read noise is not known. defects: (H, W) bit flags of `calmap` layers
+    (read noise, shot noise where the gain is known); NaN where the read noise is not known. defects: (H, W) DEFECT_FLAGS
     plus saturation. gain_dn_per_e: NaN where unknown.
     """
 

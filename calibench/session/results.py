@@ -70,7 +70,9 @@ def pointing_json(solution: Solution) -> dict:
     rms_px = float(np.sqrt(np.mean((residual**2).sum(1)))) if good else None
     values = {"ra_deg": solution.ra_rad * DEGREE, "dec_deg": solution.dec_rad * DEGREE,
               "roll_deg": solution.roll_rad * DEGREE % 360, "fov_deg": solution.fov_rad * DEGREE,
-              "sigma_cross_arcsec": solution.sigma_cross_rad * ARCSEC, "sigma_roll_arcsec": solution.sigma_roll_rad * ARCSEC}
+              "sigma_cross_arcsec": solution.sigma_cross_rad * ARCSEC, "sigma_roll_arcsec": solution.sigma_roll_rad * ARCSEC,
+              "sigma_systematic_cross_arcsec": solution.systematic_centre_rad * ARCSEC,
+              "sigma_systematic_roll_arcsec": float(np.sqrt(solution.systematic_covariance_rad2[2, 2])) * ARCSEC}
     return {k: finite(v) for k, v in values.items()} | {
         "mirrored": lens.mirrored if good else None,
         "q_cam_icrs": solution.attitude.q_cam_icrs.tolist() if good else None,

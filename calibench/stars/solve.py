@@ -17,6 +17,7 @@ from .. import registry
 from ..geometry import projection, rotation, sphere
 from ..records import Attitude, CorrectedFrame, Identification, Intrinsics, PsfMap, Spots
 from ..spots.find import find_spots
+from .lens_error import systematic
 from .lost_in_space import LostInSpace
 from .verify import CALIBRATED_MODEL_SD_PX, GUESSED_MODEL_SD_PX
 from .view import horizontal_fov
@@ -35,7 +36,11 @@ class Lens:
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """One frame's way through the sky wing. ra, dec, roll: of the image's centre, NaN without a solution."""
+    """One frame's way through the sky wing. ra, dec, roll: of the image's centre, NaN without a solution.
+
+    systematic_*: what the lens's uncertainty adds, common to all frames of one map: of the attitude (3, 3) in camera axes,
+    and of the image's centre (rad, rms of the two axes); infinite where no map gave the lens.
+    """
 
     file: str
     spots: Spots
@@ -45,6 +50,8 @@ class Solution:
     dec_rad: float = np.nan
     roll_rad: float = np.nan
     fov_rad: float = np.nan
+    systematic_covariance_rad2: np.ndarray = field(default_factory=lambda: np.full((3, 3), np.inf))
+    systematic_centre_rad: float = np.inf
     timings_s: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -95,7 +102,19 @@ class Solver:
         clock.append(perf_counter())
         timings = dict(zip(("detect", "identify", "attitude"), np.diff(clock).tolist(), strict=True))
         solution = Solution(file=corrected.file, spots=spots, identification=found, attitude=attitude, timings_s=timings)
-        return _pointed(solution, self.finder) if attitude.status == "solved" else solution
+        if attitude.status != "solved":
+            return solution
+        if lens.intrinsics is not None:
+            matrix = rotation.matrix_from_quaternion(attitude.q_cam_icrs)
+            bias, centre = systematic(found, matrix, spot_weights(found, calibrated=True))
+            solution = replace(solution, systematic_covariance_rad2=bias, systematic_centre_rad=centre)
+        return _pointed(solution, self.finder)
+
+
+def spot_weights(found: Identification, *, calibrated: bool) -> np.ndarray:
+    """Inverse covariance (M, 2, 2), px^-2, of the matched spots, with what the lens model itself may be off."""
+    model_sd = CALIBRATED_MODEL_SD_PX if calibrated else GUESSED_MODEL_SD_PX
+    return np.linalg.inv(found.covariance_px2 + np.eye(2) * model_sd**2)
 
 
 def find_attitude(found: Identification, method: str, *, calibrated: bool) -> Attitude:
@@ -106,15 +125,13 @@ def find_attitude(found: Identification, method: str, *, calibrated: bool) -> At
     """
     lens = found.intrinsics
     v, by_xy = projection.unproject_with_jacobian(lens, found.xy_px)
-    model_sd = CALIBRATED_MODEL_SD_PX if calibrated else GUESSED_MODEL_SD_PX
-    covariance_px2 = found.covariance_px2 + np.eye(2) * model_sd**2
-    sigma2 = np.trace(by_xy @ covariance_px2 @ np.swapaxes(by_xy, 1, 2), axis1=1, axis2=2) / 2
+    weight = spot_weights(found, calibrated=calibrated)
+    sigma2 = np.trace(by_xy @ np.linalg.inv(weight) @ np.swapaxes(by_xy, 1, 2), axis1=1, axis2=2) / 2
     matrix = registry.load("calibench.stars.attitude", method).attitude(v, found.direction_icrs, 1 / sigma2)
     predicted = found.direction_icrs @ matrix.T
     xy, by_v, _ = projection.project_with_jacobian(lens, predicted)
     residual = found.xy_px - xy
     jacobian = by_v @ -rotation.skew(predicted)
-    weight = np.linalg.inv(covariance_px2)
     information = (np.swapaxes(jacobian, 1, 2) @ weight @ jacobian).sum(0)
     chi2 = np.einsum("mi,mij,mj->", residual, weight, residual) / max(2 * len(residual) - 3, 1)
     return Attitude(status="solved", method=method, q_cam_icrs=rotation.quaternion_from_matrix(matrix),

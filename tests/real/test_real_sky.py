@@ -1,4 +1,4 @@
-"""Real night-sky frames of ../shared/real, through the command line, against the directions that independent solvers agree on."""
+"""Real night-sky frames, through the command line, against the directions that independent solvers agree on."""
 
 import csv
 import json

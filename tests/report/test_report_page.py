@@ -248,6 +248,19 @@ def test_missing_evidence_leaves_out_its_figure_and_nothing_else(story, name):
     assert {f.title for f in poor.figures} < {f.title for f in rich.figures}
 
 
+def test_pixels_without_a_value_do_not_spoil_the_figures(story):
+    for name in ("dark", "flat"):
+        whole = story.measurements[name]
+        maps = {key: np.array(value) for key, value in whole.maps.items()}
+        for values in maps.values():
+            if values.dtype.kind == "f":
+                values[0, 0], values[5, 7] = np.nan, np.inf
+        section = registry.load(SECTIONS, name).render(
+            dataclasses.replace(story, measurements={name: dataclasses.replace(whole, maps=maps)}))
+        readings = " ".join(figure.reading for figure in section.figures)
+        assert "–" not in readings and "nan" not in readings and "inf " not in readings
+
+
 def test_a_lens_of_unknown_errors_and_no_distortion_still_has_its_table(story):
     ideal = Intrinsics.pinhole(focal_px=180.0, image_size_px=SIZE)
     measurement = Measurement(name="intrinsics", image_size_px=SIZE, intrinsics=ideal)
