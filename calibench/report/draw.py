@@ -48,14 +48,15 @@ def sensor_sheet(image_size_px: tuple[int, int], *, wide: bool = False, columns:
                  bars: bool = True) -> tuple[Sheet, np.ndarray]:
     """A sheet whose axes have the sensor's proportions; bars: leave room for colour bars."""
     width_in = (WIDE if wide else HALF)[0]
-    height_in = (width_in / columns - LABELS_IN - bars * BAR_IN) * image_size_px[1] / image_size_px[0] + BELOW_IN + TITLE_IN * (columns > 1)
+    panel_in = width_in / columns - LABELS_IN - bars * BAR_IN
+    height_in = panel_in * image_size_px[1] / image_size_px[0] + BELOW_IN + TITLE_IN * (columns > 1)
     return sheet((width_in, min(height_in, TALLEST_IN)), columns)
 
 
 def png(made: Sheet) -> bytes:
     """The sheet as PNG; without the library's name and date, so that the same story gives the same bytes."""
     buffer = BytesIO()
-    made.savefig(buffer, format="png", metadata={"Software": None})
+    made.canvas.print_png(buffer, metadata={"Software": None})  # savefig would lay the sheet out and draw it once more
     return buffer.getvalue()
 
 

@@ -19,7 +19,7 @@ def render(story: Story) -> Section | None:
     heads = tuple(_head(column) for column in trial.columns)
     rows = tuple(tuple(_cell(value) for value in row) for row in trial.rows)
     table = Table(title="The same frames solved with parts of the map", columns=heads, rows=rows, numbers=frozenset(heads[1:]),
-                  note="earned: error without the layer minus error with the whole map; negative: the layer does harm here.")
+                  note="Earned: error without the layer minus error with the whole map; negative: the layer does harm here.")
     figure = _earned(trial.columns, trial.rows)
     return Section(paragraphs=(f"{trial.reading[:1].upper()}{trial.reading[1:]}.",), tables=(table,),
                    figures=(figure,) if figure else ())
@@ -28,6 +28,7 @@ def render(story: Story) -> Section | None:
 def _head(column: str) -> str:
     unit = next((unit for unit in UNITS if column.endswith(unit)), "")
     name = column.removesuffix(unit).replace("_", " ")
+    name = f"{name[:1].upper()}{name[1:]}"
     return f"{name} ({unit[1:]})" if unit else name
 
 
@@ -54,6 +55,7 @@ def _earned(columns: tuple[str, ...], rows: tuple[tuple, ...]) -> Figure | None:
     axes.margins(x=0.12)
     largest = max(abs(v) for v in values)
     axes.set_xscale("symlog", linthresh=max(min(1.0, largest), 1e-3))
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.set_xlabel("earned by having it: rise of the error when it is left out (arcsec; linear below 1, logarithmic above)")
     return Figure(title="Arcseconds earned by each layer", png=png(made), reading=_reading(earned), wide=True)
 

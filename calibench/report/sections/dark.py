@@ -22,6 +22,7 @@ from ..draw import (
     sensor_sheet,
     sheet,
 )
+from ..layers import layer
 from ..numbers import number, percent, plural, stated, with_uncertainty
 from ..section import Figure, Section, Table
 from ..story import Story
@@ -80,15 +81,15 @@ def _exposures(measurement: Measurement) -> Table | None:
 
 
 def _offset(measurement: Measurement) -> Figure | None:
-    offset = measurement.maps.get("offset_dn")
+    offset = layer(measurement, "offset_dn")
     if offset is None:
         return None
     made, (axes,) = sensor_sheet(measurement.image_size_px)
     sensor_image(axes, offset, "offset (DN)")
     low, high = middle(offset)
-    columns, rows = (np.median(offset, axis=axis).std() for axis in (0, 1))
+    columns, rows = (np.nanstd(np.nanmedian(offset, axis=axis)) for axis in (0, 1))
     return Figure(title="Offset", png=png(made),
-                  reading=f"Median {number(np.median(offset))} DN, the middle 98 % from {number(low)} to {number(high)} DN; "
+                  reading=f"Median {number(np.nanmedian(offset))} DN, the middle 98 % from {number(low)} to {number(high)} DN; "
                           f"medians of columns scatter by {number(columns, 2)} DN, of rows by {number(rows, 2)} DN (1σ).")
 
 
@@ -99,21 +100,23 @@ def _in_electrons(rate_dn_per_s: np.ndarray, gain_dn_per_e: float) -> tuple[np.n
 
 
 def _rate(measurement: Measurement, gain_dn_per_e: float) -> Figure | None:
-    if "dark_rate_dn_per_s" not in measurement.maps:
+    rate = layer(measurement, "dark_rate_dn_per_s")
+    if rate is None:
         return None
-    rate, unit = _in_electrons(measurement.maps["dark_rate_dn_per_s"], gain_dn_per_e)
+    rate, unit = _in_electrons(rate, gain_dn_per_e)
     made, (axes,) = sensor_sheet(measurement.image_size_px)
     sensor_image(axes, rate, f"dark rate ({unit})")
-    row, column = np.unravel_index(int(np.argmax(rate)), rate.shape)
+    row, column = np.unravel_index(int(np.nanargmax(rate)), rate.shape)
     return Figure(title="Dark rate", png=png(made),
-                  reading=f"Median {number(np.median(rate), 3)} {unit}, mean {number(rate.mean(), 3)} {unit}; the hottest "
-                          f"pixel, ({column}, {row}), collects {number(rate.max(), 3)} {unit}.")
+                  reading=f"Median {number(np.nanmedian(rate), 3)} {unit}, mean {number(np.nanmean(rate), 3)} {unit}; the "
+                          f"hottest pixel, ({column}, {row}), collects {number(np.nanmax(rate), 3)} {unit}.")
 
 
 def _rate_histogram(measurement: Measurement, gain_dn_per_e: float) -> Figure | None:
-    if "dark_rate_dn_per_s" not in measurement.maps:
+    rate = layer(measurement, "dark_rate_dn_per_s")
+    if rate is None:
         return None
-    rate, unit = _in_electrons(measurement.maps["dark_rate_dn_per_s"].ravel(), gain_dn_per_e)
+    rate, unit = _in_electrons(rate[np.isfinite(rate)], gain_dn_per_e)
     made, (axes,) = sheet(HALF)
     count, edges = np.histogram(rate, bins=160)
     axes.stairs(count, edges, fill=True, color=BLUE, alpha=0.85)

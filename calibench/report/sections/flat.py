@@ -6,6 +6,7 @@ import numpy as np
 
 from ...records import DEFECT_FLAGS, Measurement
 from ..draw import BLUE, DIVERGING, FAINT, GREY, HALF, INK, middle, png, sensor_image, sensor_sheet, sheet
+from ..layers import layer
 from ..numbers import number, percent, plural, sentence, with_uncertainty
 from ..section import Figure, Section
 from ..story import Story
@@ -28,7 +29,7 @@ def render(story: Story) -> Section | None:
 
 
 def _response(measurement: Measurement) -> Figure | None:
-    response = measurement.maps.get("response")
+    response = layer(measurement, "response")
     if response is None:
         return None
     made, (axes,) = sensor_sheet(measurement.image_size_px)
@@ -36,9 +37,9 @@ def _response(measurement: Measurement) -> Figure | None:
     reach = np.abs(middle(percent_above)).max()
     sensor_image(axes, percent_above, "response above the mean (%)", cmap=DIVERGING, limits=(-reach, reach))
     said = [f"pixels scatter by {percent(_core_sd(response))} (robust 1σ)"]
-    error = measurement.maps.get("response_uncertainty")
+    error = layer(measurement, "response_uncertainty")
     if error is not None:
-        said.append(f"the measurement's own error is {percent(np.median(error))} a pixel (median)")
+        said.append(f"the measurement's own error is {percent(np.nanmedian(error))} a pixel (median)")
     defects = measurement.maps.get("defects")
     if defects is not None:
         said += [f"{name}: {plural(np.count_nonzero(defects & DEFECT_FLAGS[name]), 'pixel')}" for name in ("dead", "cold")]
@@ -46,12 +47,12 @@ def _response(measurement: Measurement) -> Figure | None:
 
 
 def _core_sd(values: np.ndarray) -> float:
-    low, high = np.percentile(values, (25, 75))
+    low, high = np.nanpercentile(values, (25, 75))
     return float(high - low) / 1.349
 
 
 def _illumination(measurement: Measurement) -> Figure | None:
-    light = measurement.maps.get("illumination")
+    light = layer(measurement, "illumination")
     if light is None:
         return None
     made, (axes,) = sensor_sheet(measurement.image_size_px)
@@ -63,14 +64,15 @@ def _illumination(measurement: Measurement) -> Figure | None:
     row, column = np.unravel_index(int(np.nanargmax(light)), light.shape)
     corners = relative[[0, 0, -1, -1], [0, -1, 0, -1]]
     return Figure(title="Illumination by lamp and lens", png=png(made),
-                  reading=f"Brightest at pixel ({column}, {row}); the corners get {number(corners.min(), 3)} to "
-                          f"{number(corners.max(), 3)} % of that.")
+                  reading=f"Brightest at pixel ({column}, {row}); the corners get {number(np.nanmin(corners), 3)} to "
+                          f"{number(np.nanmax(corners), 3)} % of that.")
 
 
 def _histogram(measurement: Measurement) -> Figure | None:
-    response = measurement.maps.get("response")
+    response = layer(measurement, "response")
     if response is None:
         return None
+    response = response[np.isfinite(response)]
     sd = max(_core_sd(response), 1e-6)
     count, edges = np.histogram(response, bins=200)
     made, (axes,) = sheet(HALF)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
+from ...calmap.assemble import LAYER_GROUPS
 from ...records import Conditions, Limit, Verdict
 from ..numbers import number, percent, plural, stated, with_uncertainty
 from ..section import Badge, Section, Table
@@ -20,10 +21,11 @@ def render(story: Story) -> Section:
 
 def _summary(story: Story) -> str:
     counts = Counter(v.status for v in story.verdicts)
-    said = ["Layers of the map that were measured: " + (", ".join(sorted(story.calmap.measured)) or "none") + "."]
+    layers = [group for group, names in LAYER_GROUPS.items() if story.calmap.measured.intersection(names)]
+    said = [f"Measured layers of the map: {', '.join(layers) or 'none'}."]
     if story.verdicts:
         said.append(f"Of {plural(len(story.verdicts), 'limit')}, {counts['pass']} passed, {counts['fail']} failed and "
-                    f"{counts['skipped']} could not be judged.")
+                    f"{counts['skipped']} could not be judged (skipped).")
     if story.sky:
         raw, whole = (sum(getattr(s, which).status == "solved" for s in story.sky) for which in ("raw", "calibrated"))
         said.append(f"Of {plural(len(story.sky), 'sky frame')}, {raw} solved without the map and {whole} with it.")

@@ -1,0 +1,77 @@
+"""What figures compute beyond their input: the projection's uncertainty, the PSF's shape and its rendered image."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calibench.geometry import projection, rotation
+from calibench.records import Intrinsics, PsfMap
+from calibench.report.draw import grid_px, middle, sensor_sheet
+from calibench.report.sections import _lens, psf
+
+LENS = Intrinsics(model="brown4", fx_px=900.0, fy_px=905.0, cx_px=320.0, cy_px=235.0, image_size_px=(640, 480),
+                  distortion=np.array([-0.2, 0.05, 1e-3, -8e-4]),
+                  covariance=np.diag([0.5, 0.4, 0.8, 0.6, 2e-3, 1e-2, 2e-4, 2e-4]) ** 2)
+
+
+def disturbed(rng: np.random.Generator) -> Intrinsics:
+    fx, fy, cx, cy, *distortion = rng.multivariate_normal(LENS.parameters, LENS.covariance)
+    return dataclasses.replace(LENS, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, distortion=np.array(distortion))
+
+
+def test_projection_uncertainty_is_what_random_lenses_show():
+    """Against 3000 lenses drawn from the covariance, each with and without the rotation that fits the field best."""
+    rng = np.random.default_rng(3)
+    xy = grid_px(LENS.image_size_px, 8, 6)
+    whole, rest = _lens.projection_sd_px(LENS, xy)
+    rays = np.column_stack([(xy[:, 0] - LENS.cx_px) / LENS.fx_px, (xy[:, 1] - LENS.cy_px) / LENS.fy_px, np.ones(len(xy))])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    at, by_ray, _ = projection.project_with_jacobian(LENS, rays)
+    by_turn = (by_ray @ -rotation.skew(rays)).reshape(-1, 3)
+    shifts = np.array([projection.project(disturbed(rng), rays) - at for _ in range(3000)])
+    turned = shifts.reshape(3000, -1)
+    turned = (turned - (by_turn @ np.linalg.lstsq(by_turn, turned.T, rcond=None)[0]).T).reshape(shifts.shape)
+    for found, seen in ((whole, shifts), (rest, turned)):
+        assert found == pytest.approx(np.sqrt((seen**2).sum(2).mean(0) / 2), rel=0.06)
+    assert rest.max() < 0.7 * whole.min()
+
+
+def test_distortion_parts_add_up_to_the_lens():
+    xy = grid_px(LENS.image_size_px, 7, 5)
+    radial, tangential = _lens._parts(LENS, xy)
+    rays = np.column_stack([(xy - [LENS.cx_px, LENS.cy_px]) / [LENS.fx_px, LENS.fy_px], np.ones(len(xy))])
+    assert xy + radial + tangential == pytest.approx(projection.project(LENS, rays), abs=1e-9)
+    assert 0 < np.hypot(*tangential.T).max() < 3 < np.hypot(*radial.T).max()
+
+
+def test_shape_of_a_turned_ellipse():
+    major, minor, angle = 1.4, 0.8, np.radians(30)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    s = turn @ np.diag([major**2, minor**2]) @ turn.T
+    flat = PsfMap(model="gaussian", degree=0, coefficients=np.array([[s[0, 0]], [s[1, 1]], [s[0, 1]]]), image_size_px=(50, 40),
+                  centre="c", measured_xy_px=np.zeros((0, 2)), residual_rms_px2=0.0)
+    found = [float(value[0]) for value in psf.shape(flat, np.array([[10.0, 10.0]]))]
+    assert found == pytest.approx([major, minor, angle])
+
+
+def test_stamp_holds_the_light_and_its_moments():
+    image = psf.stamp(np.array([1.2, 0.7, 0.3]))
+    y, x = np.mgrid[: psf.STAMP_PX, : psf.STAMP_PX] - psf.STAMP_PX // 2
+    assert image.sum() == pytest.approx(1, abs=1e-4)
+    moments = [(image * a).sum() for a in (x * x, y * y, x * y)]
+    assert moments == pytest.approx([1.2 + 1 / 12, 0.7 + 1 / 12, 0.3], abs=5e-3)  # a pixel adds 1/12 px^2
+
+
+def test_limits_hold_the_middle_and_never_collapse():
+    assert middle(np.r_[np.linspace(0, 1, 999), 1e6, np.nan]) == pytest.approx((0.01, 0.99), abs=5e-3)
+    assert middle(np.full(9, 3.0)) == (2.5, 3.5)
+
+
+@pytest.mark.parametrize("size", [(752, 480), (1000, 1000), (100, 4000)])
+def test_a_sheet_has_the_sensors_proportions_and_a_bound(size):
+    made, axes = sensor_sheet(size, columns=2, wide=True)
+    width, height = made.get_size_inches()
+    assert len(axes) == 2 and 1 < height <= 8 < width
