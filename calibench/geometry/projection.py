@@ -13,6 +13,8 @@ Beyond the radius where x' turns back (the lens model folds) two directions woul
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.polynomial import Polynomial
 
@@ -31,7 +33,12 @@ def _terms(intrinsics: Intrinsics) -> np.ndarray:
 
 def fold_radius(intrinsics: Intrinsics) -> float:
     """Normalised radius tan(theta) up to which the radial distortion is monotone; infinite where it never folds."""
-    k1, k2, _, _, k3, k4, k5, k6 = _terms(intrinsics)
+    return _fold_radius(tuple(_terms(intrinsics).tolist()))
+
+
+@lru_cache(maxsize=256)
+def _fold_radius(terms: tuple[float, ...]) -> float:
+    k1, k2, _, _, k3, k4, k5, k6 = terms
     n, d = Polynomial([1, k1, k2, k3]), Polynomial([1, k4, k5, k6])
     u = Polynomial([0, 1])
     slope = (n + 2 * u * n.deriv()) * d - 2 * u * n * d.deriv()  # d(r N/D)/dr times D^2, in u = r^2

@@ -23,6 +23,13 @@ def _cells(image: np.ndarray, fill: float) -> tuple[np.ndarray, tuple[int, int]]
     return cells.reshape(rows, columns, -1), (rows, columns)
 
 
+def _median(cells: np.ndarray) -> np.ndarray:
+    """Median of the finite values of each cell (numpy's nanmedian walks cell by cell and is 20 times slower)."""
+    ordered = np.sort(cells, axis=-1)  # NaN goes last
+    last = np.isfinite(cells).sum(-1, keepdims=True) - 1
+    return (np.take_along_axis(ordered, last // 2, -1) + np.take_along_axis(ordered, (last + 1) // 2, -1))[..., 0] / 2
+
+
 def _to_pixels(cells: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Bilinear interpolation of cell values (at the cells' centres) to every pixel."""
     y = np.clip((np.arange(shape[0]) + 0.5) / CELL_PX - 0.5, 0, cells.shape[0] - 1)
@@ -49,9 +56,10 @@ def background_and_noise(image: np.ndarray, mask: np.ndarray | None = None) -> t
         values[mask] = np.nan
     cells, (rows, columns) = _cells(values, np.nan)
     enough = np.isfinite(cells).sum(-1) > CELL_PX * CELL_PX // 8
-    cells = np.where(enough[..., None], cells, np.float32(np.nanmedian(values)))
-    centre = np.nanmedian(cells, axis=-1)
-    spread = 1.4826 * np.nanmedian(np.abs(cells - centre[..., None]), axis=-1) + 1.0  # 8-bit frames have a zero MAD
+    finite = values[np.isfinite(values)]
+    cells = np.where(enough[..., None], cells, np.median(finite) if finite.size else np.float32(0))
+    centre = _median(cells)
+    spread = 1.4826 * _median(np.abs(cells - centre[..., None])) + 1.0  # 8-bit frames have a zero MAD
     keep = np.isfinite(cells)
     for _ in range(CLIP_ROUNDS):
         keep = keep & (np.abs(cells - centre[..., None]) <= CLIP_SIGMA * spread[..., None])
