@@ -26,6 +26,11 @@ def stated(value: float) -> str:
     return _signed(f"{value:.10g}")
 
 
+def fixed(value: float, decimals: int) -> str:
+    """A number with so many decimals, whatever its size: an angle."""
+    return _signed(f"{value:.{decimals}f}") if math.isfinite(value) else MISSING
+
+
 def power_of_ten(value: float, decimals: int = 1) -> str:
     """1.2e-9 as 1.2 × 10⁻⁹; zero as 0."""
     if value == 0:

@@ -10,6 +10,7 @@ import pytest
 from calibench.records import Quantity
 from calibench.report.numbers import (
     MISSING,
+    fixed,
     number,
     percent,
     plural,
@@ -49,6 +50,7 @@ def test_a_value_has_as_many_digits_as_its_uncertainty_bears(value, uncertainty,
 def test_small_figures_of_speech():
     assert (sigma(0.1723), sigma(0.1723, 3), sigma(None), sigma(math.inf)) == ("0.17", "0.52", MISSING, MISSING)
     assert (stated(0.0001), stated(0.2), stated(-40.0)) == ("0.0001", "0.2", "−40")
+    assert (fixed(-0.123456, 3), fixed(math.nan, 3)) == ("−0.123", MISSING)
     assert (power_of_ten(1.2e-149), power_of_ten(0.0)) == ("1.2 × 10⁻¹⁴⁹", "0")
     assert (percent(0.0343), plural(1, "view"), plural(0, "view")) == ("3.43 %", "1 view", "0 views")
     assert sentence("two spots", "", "one star") == "Two spots; one star."

@@ -118,7 +118,7 @@ def solution(rng: np.random.Generator, status: str = "solved") -> Solution:
     attitude = Attitude(status="solved", method="quest", q_cam_icrs=identity, covariance_rad2=np.diag([1, 1, 25]) * 1e-10,
                         residual_px=np.tile([0.3, -0.4], (n, 1)))
     return Solution(file="s.png", spots=spots, identification=found, attitude=attitude, ra_rad=1.0, dec_rad=-0.2, roll_rad=0.3,
-                    fov_rad=0.5, timings_s={"detect": 0.1, "identify": 0.2})
+                    fov_rad=0.5, systematic_centre_rad=2e-5, timings_s={"detect": 0.1, "identify": 0.2})
 
 
 @pytest.fixture(scope="module")
@@ -212,7 +212,7 @@ def test_the_same_story_gives_the_same_bytes(story, html):
     "The worst view, blurred, has 0.310 px", "crossed out: 3 outliers among 120 corners",
     "the hottest pixel, (20, 10), collects 770 e-/s", "1 hot, 1 hot_thesis", "gain unknown", "10 e-/DN",
     "Half of the light lies within 2 px", "sky_b: no match: dew on the lens", "3.0 × 10⁻¹²",
-    "The brightest matched is Firststar", "with the map 0.500 px rms", "ab" * 32,
+    "The brightest matched is Firststar", "with the map 0.500 px rms", "4.1, 12", "ab" * 32,
     "The whole map earns 60 arcsec over no map; of its layers dark earns most, 12.5 arcsec", "falls without psf (−1 arcsec)",
 ])
 def test_what_the_story_holds_is_said_in_words_and_figures(page, said):

@@ -11,7 +11,7 @@ from ...geometry import projection, rotation
 from ...stars.solve import Solution
 from ...validate.case import SkyTruth, cross_error_rad, roll_error_rad
 from ..draw import BLUE, GREY, INK, ORANGE, OUTLINED, png, sensor_axes, sensor_sheet
-from ..numbers import ARCSEC, MISSING, number, plural, power_of_ten, sentence, sigma
+from ..numbers import ARCSEC, MISSING, fixed, number, plural, power_of_ten, sentence, sigma
 from ..section import Badge, Figure, Section, Table
 from ..story import SkyStory, Story
 
@@ -59,14 +59,22 @@ def _figures(solution: Solution, truth: SkyTruth | None) -> tuple[str | Badge, .
 
 
 def _pointing(story: Story) -> Table:
-    columns = ("Frame", "RA (degrees)", "Dec (degrees)", "Roll (degrees)", "Field (degrees)", "Time (ms)")
-    rows = tuple((sky.name, *(f"{np.degrees(angle):.5f}".replace("-", "−") if np.isfinite(angle) else MISSING for angle in (
-        sky.calibrated.ra_rad, sky.calibrated.dec_rad, sky.calibrated.roll_rad)),
-        f"{np.degrees(sky.calibrated.fov_rad):.3f}" if np.isfinite(sky.calibrated.fov_rad) else MISSING,
-        number(1e3 * sum(sky.calibrated.timings_s.values()), 3)) for sky in story.sky)
+    columns = ("Frame", "RA (degrees)", "Dec (degrees)", "Roll (degrees)", "Field (degrees)",
+               "Systematic cross 1σ, 3σ (arcsec)", "Systematic roll 1σ, 3σ (arcsec)", "Time (ms)")
+    rows = tuple((sky.name, *_direction(sky.calibrated), number(1e3 * sum(sky.calibrated.timings_s.values()), 3))
+                 for sky in story.sky)
     return Table(title="Where the image's centre looks (with the map)", columns=columns, rows=rows,
                  numbers=frozenset(columns[1:]),
-                 note="ICRS axes; roll: position angle of the image's up direction, east of north; field: horizontal.")
+                 note="ICRS axes; roll: position angle of the image's up direction, east of north; field: horizontal. "
+                      "Systematic: what the lens's uncertainty adds, the same in all frames of one map.")
+
+
+def _direction(solution: Solution) -> tuple[str, ...]:
+    """Angles in degrees and the systematic uncertainties of centre and roll in arcsec."""
+    angles = ((solution.ra_rad, 5), (solution.dec_rad, 5), (solution.roll_rad, 5), (solution.fov_rad, 3))
+    systematic = (solution.systematic_centre_rad, np.sqrt(solution.systematic_covariance_rad2[2, 2]))
+    return (*(fixed(np.degrees(angle), decimals) for angle, decimals in angles),
+            *(f"{sigma(one * ARCSEC)}, {sigma(one * ARCSEC, 3)}" if np.isfinite(one) else MISSING for one in systematic))
 
 
 def _rms_px(solution: Solution) -> float:
