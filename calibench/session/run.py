@@ -131,11 +131,11 @@ def _solve_sky(cases: list[SkyCase], calmap: CalibrationMap, protocol: Protocol,
                                   lambda: tell("solve sky", next(count), total))
     stories, solved = [], []
     for case, raw, calibrated in zip(cases, tried[ablation.RAW].solutions, tried[ablation.WHOLE].solutions, strict=True):
+        seen = sky.finder(case.frame.date_obs).sky
         stories.append(SkyStory(name=case.frame.name, signal_dn=correct(case.frame, calmap).signal_dn, raw=raw,
-                                calibrated=calibrated, truth=case.truth))
+                                calibrated=calibrated, truth=case.truth, catalogue=seen))
         frame = SolvedFrame(frame=case.frame, solution=calibrated, outside=outside_conditions(case.frame, calmap))
-        table = sky.finder(case.frame.date_obs).sky.table
-        solved.append(solved_json(frame, calmap, (table.hip, table.hp_mag)) | {"raw": pointing_json(raw)})
+        solved.append(solved_json(frame, calmap, (seen.table.hip, seen.table.hp_mag)) | {"raw": pointing_json(raw)})
     return trial, tuple(stories), solved
 
 

@@ -52,7 +52,7 @@ def _why_absent(quantities: Mapping[str, Quantity], limit: Limit) -> str:
 
 def _sentence(quantity: Quantity, low: float, high: float) -> str:
     """Where the value lies, and whether its uncertainty could turn the verdict."""
-    value, unit = quantity.value, f" {quantity.unit}" if quantity.unit else ""
+    value, unit = quantity.value, f" {quantity.unit}" if quantity.unit not in ("", "1") else ""
     if value < low:
         said = f"{value:.6g}{unit} is below {low:.6g}"
     elif value > high:
