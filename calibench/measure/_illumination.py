@@ -1,4 +1,9 @@
-"""The smooth part of a flat, lamp and lens fall-off: a polynomial, then a median, of blocks, so that dust does not pull it."""
+"""The smooth part of a flat: lamp (a polynomial) times lens (a radial profile), by medians, so that dust does not pull it.
+
+1. A low polynomial over the medians of blocks follows the lamp and the cos^4 fall-off.
+2. The median of what is left in rings about the image's centre follows what is round and sharp: the edge of a lens barrel.
+3. Both again, each on what the other leaves (ROUNDS times), then the blocks' own median for what is neither.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +16,10 @@ from ..spots.psf import field_terms
 from ._defects import block_statistic, planes
 
 BLOCKS_ON_SHORT_SIDE = 24
-DEGREE = 6  # cos^4 fall-off to a third of the light, to 0.1 %
+DEGREE = 4
+ROUNDS = 3
+RINGS = 56  # between the centre and a corner
+FEWEST_IN_RING = 20
 CLIP_SIGMA = 3.0
 MEDIAN_BLOCKS = 5  # wider than two dust shadows
 
@@ -24,19 +32,41 @@ def illumination(signal_dn: np.ndarray, bayer_pattern: str | None) -> np.ndarray
     h, w = scaled.shape
     side = max(4, min(h, w) // BLOCKS_ON_SHORT_SIDE)
     side += side % 2 if bayer_pattern else 0  # whole mosaic cells
-    values = block_statistic(scaled, side, np.median)
+    smooth = np.ones((h, w))
+    for _ in range(ROUNDS):
+        smooth *= _polynomial(block_statistic(scaled / smooth, side, np.median), (w, h))
+        smooth *= _radial(scaled / smooth)
+    ratio = ndimage.median_filter(block_statistic(scaled / smooth, side, np.median), MEDIAN_BLOCKS, mode="nearest")
+    smooth *= cv2.resize(ndimage.gaussian_filter(ratio, 1.0, mode="nearest"), (w, h), interpolation=cv2.INTER_LINEAR)
+    return smooth / smooth.max()
+
+
+def _polynomial(values: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
+    """Polynomial of DEGREE through block values, evaluated at every pixel (H, W)."""
+    w, h = size_px
     y, x = (np.linspace(0, n, parts + 1) for n, parts in zip((h, w), values.shape, strict=True))
     grid = np.stack(np.meshgrid((x[1:] + x[:-1] - 1) / 2, (y[1:] + y[:-1] - 1) / 2), -1).reshape(-1, 2)
     degree = min(DEGREE, int(np.sqrt(values.size)) // 3)
     coefficients = _robust_fit(field_terms(grid, (w, h), degree), values.ravel())
-    powers = np.zeros((degree + 1, degree + 1))  # of u, v: the terms of a whole image would take 28 times its memory
+    powers = np.zeros((degree + 1, degree + 1))  # of u, v: the terms of a whole image would take 15 times its memory
     order = [(total - v, v) for total in range(degree + 1) for v in range(total + 1)]
     powers[tuple(np.transpose(order))] = coefficients
-    smooth = polygrid2d(np.linspace(-1, 1, w), np.linspace(-1, 1, h), powers).T
-    # What no polynomial follows (the edge of a lens barrel): the blocks' ratio to it, a median over MEDIAN_BLOCKS^2 of them.
-    ratio = ndimage.median_filter(block_statistic(scaled / smooth, side, np.median), MEDIAN_BLOCKS, mode="nearest")
-    smooth *= cv2.resize(ndimage.gaussian_filter(ratio, 1.0, mode="nearest"), (w, h), interpolation=cv2.INTER_LINEAR)
-    return smooth / smooth.max()
+    return polygrid2d(np.linspace(-1, 1, w), np.linspace(-1, 1, h), powers).T
+
+
+def _radial(ratio: np.ndarray) -> np.ndarray:
+    """Median of `ratio` in rings about the image's centre, smoothed over neighbouring rings, at every pixel (H, W)."""
+    h, w = ratio.shape
+    radius = np.hypot(*np.meshgrid(np.arange(w) - (w - 1) / 2, np.arange(h) - (h - 1) / 2))
+    width = radius.max() / RINGS
+    ring = np.minimum((radius / width).astype(np.int32), RINGS - 1).ravel()
+    order = np.argsort(ring, kind="stable")
+    parts = np.split(ratio.ravel()[order], np.searchsorted(ring[order], np.arange(1, RINGS)))
+    wide = [i for i, part in enumerate(parts) if part.size >= FEWEST_IN_RING]
+    if len(wide) < 2:
+        return np.ones((h, w))
+    profile = ndimage.gaussian_filter1d([np.median(parts[i]) for i in wide], 1.0, mode="nearest")
+    return np.interp(radius, (np.array(wide) + 0.5) * width, profile)
 
 
 def _robust_fit(terms: np.ndarray, values: np.ndarray) -> np.ndarray:
