@@ -21,6 +21,7 @@ CONTRACTS: dict[str, dict[str, tuple[str, ...] | type]] = {
     "calibench.validate.trials": {"trial": ("cases", "calmap")},
     "calibench.io.readers": {"read": ("raw", "file", "sidecar")},
     "calibench.io.exports": {"export": ("calmap", "path")},
+    "calibench.io.imports": {"read": ("path",)},
     "calibench.report.sections": {"render": ("story",), "ORDER": int, "TITLE": str},
 }
 REGISTERED = [(folder, name) for folder in CONTRACTS for name in registry.names(folder)]

@@ -6,21 +6,21 @@ Conventions agree: OpenCV too has pixel (0, 0) at the centre of the top-left pix
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from ...records import CalibrationMap
 from .. import atomic
-from ._lens import measured_lens
+from ._lens import measured_lens, number_list
 
 
 def export(calmap: CalibrationMap, path: Path | str) -> None:
     """Write camera_matrix (3, 3), distortion_coefficients (1, n), both in OpenCV's order, and the image size in px.
 
-    parameter_uncertainty (1, 4 + n) holds the 1-sigma of fx, fy, cx, cy, distortion. A pinhole has four zero
-    coefficients, because a matrix without elements cannot be read back.
+    Beyond OpenCV's own names: lens_model, parameter_uncertainty (1, 4 + n), the 1-sigma of fx, fy, cx, cy, distortion,
+    and parameter_covariance (4 + n, 4 + n), so that a lens read back is the same. A pinhole has four zero coefficients
+    but a (4, 4) covariance, because a matrix without elements cannot be read back.
 
     Raises:
         BadInput: no exportable intrinsics, or the file cannot be written.
@@ -33,9 +33,11 @@ def export(calmap: CalibrationMap, path: Path | str) -> None:
         "---",
         f"image_width: {w}",
         f"image_height: {h}",
+        f"lens_model: {lens.model}",
         _matrix("camera_matrix", lens.camera_matrix),
         _matrix("distortion_coefficients", distortion[np.newaxis]),
         _matrix("parameter_uncertainty", np.sqrt(np.diag(lens.covariance))[np.newaxis]),
+        _matrix("parameter_covariance", lens.covariance),
         "",
     )).encode("ascii"))
 
@@ -43,9 +45,4 @@ def export(calmap: CalibrationMap, path: Path | str) -> None:
 def _matrix(name: str, values: np.ndarray) -> str:
     rows, columns = values.shape
     return (f"{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n"
-            f"   data: [ {', '.join(_numbers(values.ravel()))} ]")
-
-
-def _numbers(values: Iterable[float]) -> list[str]:
-    """The shortest text that reads back as the same double; infinity in YAML's spelling."""
-    return [".Inf" if np.isinf(value) else repr(float(value)) for value in values]
+            f"   data: [ {number_list(values)} ]")
