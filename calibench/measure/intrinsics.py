@@ -1,7 +1,7 @@
 """Intrinsics from checkerboard views: corners, bundle adjustment with board bow, outlier rejection, believable error bars.
 
 1. Find the board in each view; refine the corners two ways; keep the refiner that leaves the smaller residual.
-2. Choose the model by held-out error (solve on half of the views, only poses on the others); k3 has to lower it.
+2. Choose the model by held-out error (solve on half of the views, only poses on the others); k3 and more have to lower it.
 3. Adjust lens, bow and poses; drop corners beyond `outlier_sigma` robust sigma, and views that do not fit; again.
 4. Ask whether the views determine the focal length at all.
 5. Covariance: classical, and clustered by view (the recommended one: corners of a view do not err independently).
@@ -18,25 +18,25 @@ import numpy as np
 
 from ..errors import BadInput
 from ..records import CalibrationMap, Frame, Intrinsics, Measurement, Quantity
-from . import _adjust as bundle
+from . import _board_lens as board_lens
 from . import _corners as corner
+from ._board_lens import CANDIDATE_MODELS, MIN_VIEWS, MIN_VIEWS_FOR_BOW, MIN_VIEWS_FOR_HALVES
+from ._bundle import covariance
+from ._bundle.adjust import Solution
+from ._bundle.boards import board_points_mm
+from ._bundle.outliers import Rejection
+from ._bundle.start import TILT as TILT_ADVICE
 from ._ledger import Ledger
 
 PROBED_VIEWS = 4
-MIN_VIEWS = 3
-MIN_VIEWS_FOR_BOW = 5
-MIN_VIEWS_FOR_HALVES = 6
 MIN_TILT_SPREAD_RAD = np.radians(5)
 MAX_RELATIVE_FOCAL_SD = 0.05
-CANDIDATE_MODELS = ("brown4", "brown5")
-WORTH_A_TERM = 0.99  # a further term has to lower the held-out rms by 1 %: less is chance, and it bends the corners
 COVERAGE_CELLS = (8, 6)
-TILT_ADVICE = "tilt the board by 20 to 45 degrees about both axes, differently in each view"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """board: inner corners (columns, rows). model None: chosen by held-out error among brown4 and brown5.
+    """board: inner corners (columns, rows). model None: chosen by held-out error among brown4, brown5, rational8.
 
     window: half width of the corner refinement as a fraction of the local corner spacing. outlier_sigma: corners farther off
     than this many robust sigma are dropped, at most the share `max_outliers` of them. worst_view: a view is dropped whose
@@ -65,7 +65,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     _check(settings)
     ledger = Ledger(settings, "board views")
     names, refined = _find_corners(frames, settings, ledger)
-    points_mm = bundle.board_points_mm(settings.board, settings.square_mm)
+    points_mm = board_points_mm(settings.board, settings.square_mm)
     size = ledger.first.image_size_px
 
     refiner, rows = _choose_refiner(refined, points_mm, size, settings)
@@ -78,28 +78,26 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     for i in np.flatnonzero(~kept):
         ledger.rejected.append((names[i], f"residual more than {settings.worst_view:g} times the median view's: "
                                           "blurred, or another board"))
-    names, corners = [n for n, k in zip(names, kept, strict=True) if k], corners[kept]
+    names = [n for n, k in zip(names, kept, strict=True) if k]
     warnings = list(ledger.warnings)
-    intrinsics, classical = _with_covariance(solution, inlier, warnings)
+    classical, recommended = _covariances(solution, warnings)
     _check_observable(solution, classical)
+    lens = len(solution.intrinsics.parameter_names)
+    intrinsics = dataclasses.replace(solution.intrinsics, covariance=recommended[:lens, :lens])
     if settings.model and held_out.get(model, 0) > min(held_out.values(), default=0):
         warnings.append(f"{model} was asked for, but raises the held-out error: " +
                         ", ".join(f"{m} {e:.4f} px" for m, e in held_out.items()))
-
-    distance = np.linalg.norm(solution.residual_px, axis=-1)
     provenance = ledger.provenance()
     return Measurement(
         name="intrinsics", image_size_px=size, intrinsics=intrinsics,
-        quantities=_quantities(solution, intrinsics, inlier, distance, held_out.get(model), len(ledger.inputs)),
-        evidence={
-            "corners_xy_px": corners.reshape(-1, 2), "corners_view": np.repeat(np.arange(len(corners)), len(points_mm)),
-            "corners_board_mm": np.tile(points_mm, (len(corners), 1)), "residual_px": solution.residual_px.reshape(-1, 2),
-            "inlier": inlier.ravel(), "poses": bundle.poses_of(solution), "uncertainty_classical": np.sqrt(np.diag(classical)),
-            "view_rms_px": np.sqrt(np.mean(distance**2, axis=1)), "coverage_count": _coverage(corners, size),
+        quantities=(*_lens_quantities(intrinsics), *_bow_quantities(solution, recommended),
+                    *_fit_quantities(solution, corners[kept], held_out.get(model), len(ledger.inputs))),
+        evidence=_evidence(solution, corners[kept], size) | {
+            "uncertainty_classical": np.sqrt(np.diag(classical)),
             "held_out_rms_by_model_px": np.array([held_out.get(m, np.nan) for m in CANDIDATE_MODELS])},
         provenance=dataclasses.replace(provenance, settings={
             **provenance.settings, "model": model, "refiner": refiner, "views": tuple(Path(name).name for name in names)}),
-        warnings=tuple(warnings), frames_used=len(corners), frames_rejected=tuple(ledger.rejected))
+        warnings=tuple(warnings), frames_used=len(names), frames_rejected=tuple(ledger.rejected))
 
 
 def _check(settings: Settings) -> None:
@@ -154,73 +152,37 @@ def _choose_model(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, i
     """Model name and {model: held-out rms in px}; the first candidate where there are too few views to ask."""
     if len(corners) < MIN_VIEWS_FOR_HALVES:
         return settings.model or CANDIDATE_MODELS[0], {}
-    models = dict.fromkeys((*CANDIDATE_MODELS, settings.model or CANDIDATE_MODELS[0]))
-    held_out = {m: _held_out_rms_px(corners, points_mm, size, m, settings) for m in models}
-    few, more = CANDIDATE_MODELS
-    return settings.model or (more if held_out[more] < WORTH_A_TERM * held_out[few] else few), held_out
+    held_out = {model: board_lens.held_out_rms_px(corners, points_mm, size, model, rejection=_rejection(settings),
+                                                  worst_view=settings.worst_view)
+                for model in dict.fromkeys((*CANDIDATE_MODELS, settings.model or CANDIDATE_MODELS[0]))}
+    return settings.model or board_lens.best_model({m: held_out[m] for m in CANDIDATE_MODELS}), held_out
 
 
-def _held_out_rms_px(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, int], model: str,
-                     settings: Settings) -> float:
-    """Lens and bow from the even views, only poses on the odd ones, and the other way round; rms over the inliers."""
-    squares = []
-    for first in (0, 1):
-        lens, _, _ = _robust(corners[first::2], points_mm, size, model, settings)
-        unseen = corners[1 - first::2]
-        inlier = np.ones(unseen.shape[:2], bool)
-        for _ in range(2):
-            guess = bundle.with_poses(lens.intrinsics, unseen, points_mm, bow_mm=lens.bow_mm)
-            posed = bundle.adjust(guess, unseen, points_mm, inlier, with_bow=False, lens_fixed=True)
-            inlier = _inliers(posed.residual_px, inlier, settings)
-        squares.append(np.sum(posed.residual_px**2, axis=-1)[inlier])
-    return float(np.sqrt(np.concatenate(squares).mean()))
+def _rejection(settings: Settings) -> Rejection:
+    return Rejection(sigma=settings.outlier_sigma, most=settings.max_outliers)
 
 
 def _robust(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, int], model: str,
-            settings: Settings) -> tuple[bundle.Solution, np.ndarray, np.ndarray]:
-    """Solution, inlier corners (of the kept views) and kept views (V,), repeated until no corner changes sides."""
-    kept = np.ones(len(corners), bool)
-    with_bow = len(corners) >= MIN_VIEWS_FOR_BOW
-    solution = bundle.start(corners, points_mm, size, model)
-    inlier = np.ones(corners.shape[:2], bool)
-    for _ in range(8 + len(corners)):
-        solution = bundle.adjust(solution, corners[kept], points_mm, inlier, with_bow=with_bow)
-        typical = np.median(np.linalg.norm(solution.residual_px, axis=-1), axis=1)  # one wild corner is no wild view
-        worst = int(np.argmax(typical))
-        if len(typical) > MIN_VIEWS and typical[worst] > settings.worst_view * np.median(typical):
-            kept[np.flatnonzero(kept)[worst]] = False
-            solution = bundle.start(corners[kept], points_mm, size, model)
-            inlier = np.ones(corners[kept].shape[:2], bool)
-            continue
-        now = _inliers(solution.residual_px, inlier, settings)
-        if (now == inlier).all():
-            break
-        inlier = now
-    return solution, inlier, kept
+            settings: Settings) -> tuple[Solution, np.ndarray, np.ndarray]:
+    """Solution, inlier corners (of the kept views) and kept views (V,)."""
+    solution, kept = board_lens.solve(corners, points_mm, size, model, rejection=_rejection(settings),
+                                      worst_view=settings.worst_view)
+    return solution, solution.blocks[0].weight > 0, kept
 
 
-def _inliers(residual_px: np.ndarray, inlier: np.ndarray, settings: Settings) -> np.ndarray:
-    """Corners within outlier_sigma (sigma of one coordinate, robust), and always the best 1 - max_outliers of them."""
-    distance = np.linalg.norm(residual_px, axis=-1)
-    sigma = 1.4826 * np.median(np.abs(residual_px[inlier]))
-    return distance <= max(settings.outlier_sigma * sigma, np.quantile(distance, 1 - settings.max_outliers))
-
-
-def _with_covariance(solution: bundle.Solution, inlier: np.ndarray, warnings: list[str]) -> tuple[Intrinsics, np.ndarray]:
-    """Intrinsics with the recommended covariance, and the classical one, both over lens and bow (lens first)."""
-    classical, clustered = bundle.covariances(solution, inlier)
+def _covariances(solution: Solution, warnings: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Classical and recommended covariance over lens and bow (lens first)."""
+    classical, clustered = covariance.classical(solution), covariance.clustered(solution)
     views, shared = solution.score.shape
     if views <= shared:  # the sandwich has rank < views: keep the classical shape, with the size that the views show
         whitened = np.trace(np.linalg.solve(classical, clustered)) / shared
         clustered = max(1.0, float(whitened)) * classical
         warnings.append(f"only {views} views for {shared} parameters: uncertainties are themselves uncertain")
-    lens = len(solution.intrinsics.parameter_names)
-    intrinsics = dataclasses.replace(solution.intrinsics, covariance=clustered[:lens, :lens])
-    return intrinsics, classical
+    return classical, clustered
 
 
-def _check_observable(solution: bundle.Solution, classical: np.ndarray) -> None:
-    normal = solution.rotation[:, :, 2]
+def _check_observable(solution: Solution, classical: np.ndarray) -> None:
+    normal = solution.blocks[0].rotation[:, :, 2]
     spread = float(np.arccos(np.clip(normal @ normal.T, -1, 1)).max())
     relative = float(np.sqrt(classical[0, 0]) / solution.intrinsics.fx_px)
     if spread < MIN_TILT_SPREAD_RAD or relative > MAX_RELATIVE_FOCAL_SD:
@@ -232,34 +194,52 @@ def _check_observable(solution: bundle.Solution, classical: np.ndarray) -> None:
                        mend=TILT_ADVICE)
 
 
-def _coverage(corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def _evidence(solution: Solution, corners: np.ndarray, size: tuple[int, int]) -> dict[str, np.ndarray]:
+    """Observations and residuals of the corners found, view by view, and what is known of each view."""
+    (boards,) = solution.blocks
+    found = np.isfinite(corners).all(axis=-1)
+    view, point = np.nonzero(found)
+    square = np.where(found, np.sum(solution.residual_px**2, axis=-1), 0)
+    return {"corners_xy_px": corners[found], "corners_view": view, "corners_board_mm": boards.points_mm[point],
+            "residual_px": solution.residual_px[found], "inlier": boards.weight[found] > 0, "poses": boards.poses,
+            "view_rms_px": np.sqrt(square.sum(axis=1) / found.sum(axis=1)), "coverage_count": _coverage(corners[found], size)}
+
+
+def _coverage(xy_px: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Number of corners in each of COVERAGE_CELLS (columns, rows) cells of the image, as (rows, columns)."""
-    x, y = corners.reshape(-1, 2).T
     edges = [np.linspace(-0.5, n - 0.5, cells + 1) for n, cells in zip(size, COVERAGE_CELLS, strict=True)]
-    return np.histogram2d(y, x, bins=edges[::-1])[0].astype(np.int64)
+    return np.histogram2d(xy_px[:, 1], xy_px[:, 0], bins=edges[::-1])[0].astype(np.int64)
 
 
-def _quantities(solution: bundle.Solution, intrinsics: Intrinsics, inlier: np.ndarray, distance: np.ndarray,
-                held_out_rms_px: float | None, views_given: int) -> tuple[Quantity, ...]:
+def _lens_quantities(intrinsics: Intrinsics) -> list[Quantity]:
     opencv = "OpenCV camera model, integer pixel = pixel centre; uncertainty clustered by view (CR2)"
     sd = np.sqrt(np.diag(intrinsics.covariance))
-    out = [Quantity(name=name, value=float(value), unit="px" if name.endswith("_px") else "1", symbol=name.removesuffix("_px"),
-                    uncertainty=float(error), source=opencv)
-           for name, value, error in zip(intrinsics.parameter_names, intrinsics.parameters, sd, strict=True)]
-    _, clustered = bundle.covariances(solution, inlier)
-    bow_sd = np.sqrt(np.diag(clustered)[-2:])
-    for axis, value, error in zip("xy", solution.bow_mm, bow_sd, strict=True):
-        out.append(Quantity(name=f"board_bow_{axis}_mm", unit="mm", source="height of the centre over the edges, away from the "
-                            "camera positive", value=float(value) if solution.with_bow else None,
-                            uncertainty=float(error) if solution.with_bow else None,
-                            reason="" if solution.with_bow else f"needs at least {MIN_VIEWS_FOR_BOW} views"))
+    return [Quantity(name=name, value=float(value), unit="px" if name.endswith("_px") else "1",
+                     symbol=name.removesuffix("_px"), uncertainty=float(error), source=opencv)
+            for name, value, error in zip(intrinsics.parameter_names, intrinsics.parameters, sd, strict=True)]
+
+
+def _bow_quantities(solution: Solution, recommended: np.ndarray) -> list[Quantity]:
+    (boards,) = solution.blocks
+    source = "height of the centre over the edges, away from the camera positive"
+    if not boards.bow_free:
+        return [Quantity(name=f"board_bow_{axis}_mm", unit="mm", source=source, value=None,
+                         reason=f"needs at least {MIN_VIEWS_FOR_BOW} views") for axis in "xy"]
+    sd = np.sqrt(np.diag(recommended)[-2:])
+    return [Quantity(name=f"board_bow_{axis}_mm", unit="mm", source=source, value=float(value), uncertainty=float(error))
+            for axis, value, error in zip("xy", boards.bow_mm, sd, strict=True)]
+
+
+def _fit_quantities(solution: Solution, corners: np.ndarray, held_out_rms_px: float | None, views_given: int) -> list[Quantity]:
+    found, inlier = np.isfinite(corners).all(axis=-1), solution.blocks[0].weight > 0
+    square = np.sum(solution.residual_px**2, axis=-1)
     rms = "sqrt(mean(dx^2 + dy^2))"
-    counts = {"views_given": views_given, "views_used": len(inlier), "points": inlier.size, "outliers": int((~inlier).sum())}
-    out += [
-        Quantity(name="rms_px", value=float(np.sqrt(np.mean(distance[inlier]**2))), unit="px", source=f"{rms} over inliers"),
-        Quantity(name="rms_all_px", value=float(np.sqrt(np.mean(distance**2))), unit="px", source=f"{rms} over every corner"),
+    counts = {"views_given": views_given, "views_used": len(inlier), "points": int(found.sum()),
+              "outliers": int((found & ~inlier).sum())}
+    return [
+        Quantity(name="rms_px", value=float(np.sqrt(square[inlier].mean())), unit="px", source=f"{rms} over inliers"),
+        Quantity(name="rms_all_px", value=float(np.sqrt(square[found].mean())), unit="px", source=f"{rms} over every corner"),
         Quantity(name="held_out_rms_px", value=held_out_rms_px, unit="px",
                  source=f"{rms}; lens from every other view, only poses fitted to the rest",
                  reason="" if held_out_rms_px else f"needs at least {MIN_VIEWS_FOR_HALVES} views"),
         *(Quantity(name=name, value=float(value), unit="1", source="count") for name, value in counts.items())]
-    return tuple(out)

@@ -1,0 +1,90 @@
+"""Lens from the corners of one board: adjustment without what does not fit, and the choice of the model by held-out error."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ..errors import BadInput
+from ..records import DISTORTION_NAMES, Intrinsics
+from ._bundle.adjust import COARSE, Solution, adjust
+from ._bundle.outliers import Rejection, without_outliers
+from ._bundle.start import posed, start
+
+MIN_VIEWS = 3
+MIN_VIEWS_FOR_BOW = 5
+MIN_VIEWS_FOR_HALVES = 6
+CANDIDATE_MODELS = ("brown4", "brown5", "rational8")
+WORTH_A_TERM = 0.99  # further terms have to lower the held-out rms by 1 %: less is chance, and they bend the corners
+
+
+def solve(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str, *,
+          rejection: Rejection, worst_view: float) -> tuple[Solution, np.ndarray]:
+    """Lens, bow and poses without outlying corners and views.
+
+    Args:
+        corners_px: (V, P, 2), NaN where a corner was not found. worst_view: a view is dropped whose median residual exceeds
+            the median view's by this factor.
+
+    Returns:
+        Solution over the kept views, and which (V,) those are.
+
+    Raises:
+        BadInput: the views do not determine the lens.
+    """
+    kept = np.ones(len(corners_px), bool)
+    while True:
+        first = _coarse(corners_px[kept], points_mm, image_size_px, model)
+        (block,) = first.blocks
+        distance = np.where(block.weight > 0, np.linalg.norm(first.residual_px, axis=-1), np.nan)
+        typical = np.nanmedian(distance, axis=1)  # one wild corner is no wild view
+        worst = int(np.argmax(typical))
+        if len(typical) <= MIN_VIEWS or typical[worst] <= worst_view * np.median(typical):
+            return without_outliers(first, rejection), kept
+        kept[np.flatnonzero(kept)[worst]] = False
+
+
+def _coarse(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str) -> Solution:
+    """A first solution; a model of many terms starts from the one of few, where all are well determined."""
+    few = "brown4" if len(DISTORTION_NAMES[model]) > 5 else model
+    lens, boards = start(corners_px, points_mm, image_size_px, few)
+    boards = dataclasses.replace(boards, bow_free=len(corners_px) >= MIN_VIEWS_FOR_BOW)
+    solution = adjust(lens, [boards], tolerance=COARSE)
+    return solution if few == model else adjust(with_model(solution.intrinsics, model), solution.blocks, tolerance=COARSE)
+
+
+def with_model(lens: Intrinsics, model: str) -> Intrinsics:
+    """The same lens under a model with more (or fewer) terms of the same order; covariance unknown."""
+    terms = len(DISTORTION_NAMES[model])
+    distortion = np.zeros(terms)
+    distortion[:len(lens.distortion)] = lens.distortion[:terms]
+    return dataclasses.replace(lens, model=model, distortion=distortion, covariance=np.full((4 + terms, 4 + terms), np.inf))
+
+
+def held_out_rms_px(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str, *,
+                    rejection: Rejection, worst_view: float) -> float:
+    """Lens and bow from the even views, only poses on the odd ones, and the other way round; rms over the inliers.
+
+    Infinite where a half does not determine the lens, or its lens has no direction for a corner of the other half.
+    """
+    squares = []
+    for first in (0, 1):
+        try:
+            lens, _ = solve(corners_px[first::2], points_mm, image_size_px, model, rejection=rejection, worst_view=worst_view)
+            boards = posed(lens.intrinsics, corners_px[1 - first::2], points_mm, bow_mm=lens.blocks[0].bow_mm)
+            unseen = without_outliers(adjust(lens.intrinsics, [boards], lens_fixed=True, tolerance=COARSE), rejection,
+                                      lens_fixed=True)
+        except BadInput:
+            return np.inf
+        squares.append(np.sum(unseen.residual_px**2, axis=-1)[unseen.blocks[0].weight > 0])
+    return float(np.sqrt(np.concatenate(squares).mean()))
+
+
+def best_model(held_out: dict[str, float]) -> str:
+    """The model with the fewest terms that no other beats by more than chance (held-out rms by model, fewest terms first)."""
+    best, *more = held_out
+    for model in more:
+        if held_out[model] < WORTH_A_TERM * held_out[best]:
+            best = model
+    return best
