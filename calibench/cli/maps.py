@@ -1,4 +1,4 @@
-"""calibench map info | verify | apply | export."""
+"""calibench map info | verify | apply | diff | import | export."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import typer
 from ..errors import BadInput
 from .output import Json, print_json, progress, say, table
 
-app = typer.Typer(no_args_is_help=True, help="Look at, check, apply and export a calibration map.", rich_markup_mode=None)
+app = typer.Typer(no_args_is_help=True, help="Look at, check, apply, compare, import and export a calibration map.",
+                  rich_markup_mode=None)
 MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="A calibration map (FITS).")]
 
 
@@ -82,6 +83,42 @@ def apply(map_: MapArgument,
 
 
 @app.command()
+def diff(a: Annotated[Path, typer.Argument(metavar="A", help="The calibration map to compare with.")],
+         b: Annotated[Path, typer.Argument(metavar="B", help="Another map of the same camera.")],
+         fit_radius_px: Annotated[float | None, typer.Option(
+             min=0, help="Remove the rotation that fits within this distance of the centre; without it, over the whole image."
+         )] = None, json_: Json = False) -> None:
+    """What has changed from map A to map B: the lens over the field, each layer, the defective pixels."""
+    from ..calmap.compare import compare
+    from ..io.map_file import read_map
+    from .difference import difference_json, difference_text
+    first, second = read_map(a), read_map(b)
+    values = {"a": str(a), "b": str(b)} | difference_json(compare(first, second, fit_radius_px), first, second)
+    print_json(values) if json_ else print(difference_text(values))
+
+
+@app.command("import")
+def import_(file: Annotated[Path, typer.Argument(metavar="FILE", help="The lens file of another program.")],
+            from_: Annotated[str, typer.Option("--from", help="Its format, like opencv_yaml.")],
+            map_out: Annotated[Path, typer.Option(help="Map to write.")],
+            map_: Annotated[Path | None, typer.Option("--map", help="A map to which the lens is added.")] = None,
+            json_: Json = False) -> None:
+    """Take the lens from another program's file into a map."""
+    from ..io.imported_lens import imported_lens
+    from ..io.map_file import map_info, read_map, write_map
+    from ..session.measuring import into_map
+    measurement = imported_lens(file, from_)
+    write_map(map_out, into_map([measurement], read_map(map_) if map_ else None))
+    if json_:
+        print_json({"file": str(file), "format": from_, "map_written": str(map_out),
+                    "intrinsics": map_info(map_out)["intrinsics"], "warnings": list(measurement.warnings)})
+        return
+    print(map_out)
+    for warning in measurement.warnings:
+        say(f"warning: {warning}")
+
+
+@app.command()
 def export(map_: MapArgument,
            to: Annotated[str, typer.Option(help="Format, like opencv_yaml.")],
            out: Annotated[Path, typer.Option(help="File to write.")], json_: Json = False) -> None:
@@ -91,5 +128,3 @@ def export(map_: MapArgument,
     module = registry.load("calibench.io.exports", to)
     module.export(read_map(map_), out)
     print_json({"file": str(out), "format": to}) if json_ else print(out)
-
-

@@ -18,7 +18,7 @@ from ..exports.mrcal_cameramodel import MODELS
 from ._checked import DAMAGED_MEND, NUMBER, checked_lens, text_of
 
 MAX_DEPTH = 4
-MAX_VALUES = 100_000
+MAX_VALUES = 20_000
 _TOKEN = re.compile(r"(?P<space>\s+|#[^\n]*)|(?P<text>b?'[^'\\\n]*'|b?\"[^\"\\\n]*\")|(?P<mark>[][{}:,()])|"
                     rf"(?P<number>{NUMBER})")
 
