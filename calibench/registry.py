@@ -16,7 +16,7 @@ from .errors import UsageError
 def names(folder: str) -> tuple[str, ...]:
     """Names of the choices in an open folder, e.g. ``names("calibench.spots.detect")``, sorted."""
     package = importlib.import_module(folder)
-    found = (info.name for info in pkgutil.iter_modules(package.__path__))
+    found = (info.name for info in pkgutil.iter_modules(package.__path__) if not info.ispkg)
     return tuple(sorted(name for name in found if not name.startswith("_") and name != "kernels"))
 
 

@@ -1,6 +1,6 @@
 """Intrinsics from checkerboard views: corners, bundle adjustment with board bow, outlier rejection, believable error bars.
 
-1. Find the board in each view; refine the corners two ways; keep the refiner that leaves the smaller residual.
+1. Find the target in each view; refine its points; keep the detector's own where those are clearly smoother.
 2. Choose the model by held-out error (solve on half of the views, only poses on the others); k3 and more have to lower it.
 3. Adjust lens, bow and poses; drop corners beyond `outlier_sigma` robust sigma, and views that do not fit; again.
 4. Ask whether the views determine the focal length at all.
@@ -19,16 +19,17 @@ import numpy as np
 from ..errors import BadInput
 from ..records import CalibrationMap, Frame, Intrinsics, Measurement, Quantity
 from . import _board_lens as board_lens
-from . import _corners as corner
 from ._board_lens import CANDIDATE_MODELS, MIN_VIEWS, MIN_VIEWS_FOR_BOW, MIN_VIEWS_FOR_HALVES
 from ._bundle import covariance
 from ._bundle.adjust import Solution
-from ._bundle.boards import board_points_mm
 from ._bundle.outliers import Rejection
 from ._bundle.start import TILT as TILT_ADVICE
 from ._ledger import Ledger
+from .corners import _views as corner
+from .corners._target import Target
 
 PROBED_VIEWS = 4
+WORTH_ANOTHER_REFINER = 0.8  # of the roughness: less is chance
 MIN_TILT_SPREAD_RAD = np.radians(5)
 MAX_RELATIVE_FOCAL_SD = 0.05
 COVERAGE_CELLS = (8, 6)
@@ -38,15 +39,21 @@ COVERAGE_CELLS = (8, 6)
 class Settings:
     """board: inner corners (columns, rows). model None: chosen by held-out error among brown4, brown5, rational8.
 
-    window: half width of the corner refinement as a fraction of the local corner spacing. outlier_sigma: corners farther off
-    than this many robust sigma are dropped, at most the share `max_outliers` of them. worst_view: a view is dropped whose
-    median residual exceeds the median view's by this factor.
+    target: what stands before the camera, a `TARGET` of `measure/corners`. detector: one file of that folder; None: all that
+    can see the target, the fastest first. marker_mm, dictionary: of a ChArUco board (`corners._target.Target`). window: half
+    width of the refinement as a fraction of the local spacing, kept within what the target allows. outlier_sigma: corners
+    farther off than this many robust sigma are dropped, at most the share `max_outliers` of them. worst_view: a view is
+    dropped whose median residual exceeds the median view's by this factor.
     """
 
     board: tuple[int, int] = (9, 6)
     square_mm: float = 25.0
     model: str | None = None
-    window: float = 0.25
+    target: str = "checkerboard"
+    detector: str | None = None
+    marker_mm: float | None = None
+    dictionary: str = "DICT_4X4_50"
+    window: float = 0.2
     outlier_sigma: float = 4.0
     max_outliers: float = 0.03
     worst_view: float = 4.0
@@ -64,14 +71,10 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     settings = settings or Settings()
     _check(settings)
     ledger = Ledger(settings, "board views")
-    names, refined = _find_corners(frames, settings, ledger)
-    points_mm = board_points_mm(settings.board, settings.square_mm)
+    names, seen, points_mm = _find_corners(frames, settings, ledger)
     size = ledger.first.image_size_px
 
-    refiner, rows = _choose_refiner(refined, points_mm, size, settings)
-    for i in sorted(set(range(len(names))) - set(rows)):
-        ledger.rejected.append((names[i], f"the {refiner} refiner does not see the board"))
-    names, corners = [names[i] for i in rows], np.array([refined[i][refiner] for i in rows])
+    refiner, corners, corners_covariance_px2 = _choose_refiner(seen)
 
     model, held_out = _choose_model(corners, points_mm, size, settings)
     solution, inlier, kept = _robust(corners, points_mm, size, model, settings)
@@ -93,6 +96,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         quantities=(*_lens_quantities(intrinsics), *_bow_quantities(solution, recommended),
                     *_fit_quantities(solution, corners[kept], held_out.get(model), len(ledger.inputs))),
         evidence=_evidence(solution, corners[kept], size) | {
+            "corners_covariance_px2": corners_covariance_px2[kept][np.isfinite(corners[kept]).all(axis=-1)],
             "uncertainty_classical": np.sqrt(np.diag(classical)),
             "held_out_rms_by_model_px": np.array([held_out.get(m, np.nan) for m in CANDIDATE_MODELS])},
         provenance=dataclasses.replace(provenance, settings={
@@ -108,44 +112,46 @@ def _check(settings: Settings) -> None:
         raise BadInput(f"square size {settings.square_mm} mm is not positive")
 
 
-def _find_corners(frames: Iterable[Frame], settings: Settings, ledger: Ledger) -> tuple[list[str], list[dict]]:
-    """File names and refined corners {refiner: (P, 2)} of the views that show the board."""
-    names, refined = [], []
+def _find_corners(frames: Iterable[Frame], settings: Settings, ledger: Ledger) -> tuple[list[str], list[dict], np.ndarray]:
+    """File names and points {refiner: Points} of the views that show the target, and its points (P, 3) in mm."""
+    target = Target(board=settings.board, square_mm=settings.square_mm, marker_mm=settings.marker_mm,
+                    dictionary=settings.dictionary)
+    able = corner.detectors(settings.target, settings.detector)
+    quick, *_ = corner.detectors(settings.target, None)
+    names, seen = [], []
     found, missed = [], []  # a few images each, to ask about another board size
     for frame in frames:
         if not ledger.take(frame):
             continue
-        grey = corner.grey_image(frame)
-        rough = corner.find_board(grey, settings.board)
-        kept = missed if rough is None else found
+        grey, fine = corner.shade(frame)
+        try:
+            points = corner.look(grey, fine, target, able, settings.window)
+        except BadInput as error:
+            raise BadInput(error.what, file=frame.file or None, mend=error.mend) from error
+        kept = missed if points is None else found
         kept += [grey] if len(kept) < PROBED_VIEWS else []
-        if rough is None:
-            ledger.reject(frame, f"no board of {settings.board[0]}x{settings.board[1]} inner corners is seen")
+        if points is None:
+            columns, rows = settings.board
+            ledger.reject(frame, f"no board of {columns}x{rows} {quick.POINT.split(',')[0]} is seen")
             continue
         names.append(frame.file or frame.name)
-        each = {r: corner.refine(grey, rough, settings.board, r, settings.window) for r in corner.REFINERS}
-        refined.append({r: c for r, c in each.items() if c is not None})
+        seen.append(points)
     ledger.first  # noqa: B018  raises where there was no frame at all
-    corner.check_board_size(found, missed, settings.board)
+    corner.check_board_size(found, missed, target, quick)
     if len(names) < MIN_VIEWS:
         raise BadInput(f"{len(names)} of {len(names) + len(ledger.rejected)} frames can be used as views of a "
                        f"{settings.board[0]}x{settings.board[1]} board, {MIN_VIEWS} are the least"
                        + "".join(f"\n  {file}: {why}" for file, why in ledger.rejected),
                        mend="take ten or more sharp views of the whole board, " + TILT_ADVICE)
-    return names, refined
+    return names, seen, corner.points_mm(target, quick)
 
 
-def _choose_refiner(refined: list[dict], points_mm: np.ndarray, size: tuple[int, int], settings: Settings) -> tuple[str, list]:
-    """The refiner with the smaller median residual and the rows of the views it serves (it must serve most)."""
-    scores = {}
-    for refiner in corner.REFINERS:
-        rows = [i for i, each in enumerate(refined) if refiner in each]
-        if len(rows) < max(MIN_VIEWS, 0.8 * len(refined)):
-            continue
-        solution, inlier, _ = _robust(np.array([refined[i][refiner] for i in rows]), points_mm, size, "brown4", settings)
-        scores[refiner] = (float(np.median(np.linalg.norm(solution.residual_px, axis=-1)[inlier])), rows)
-    best = min(scores, key=lambda r: scores[r][0])
-    return best, scores[best][1]
+def _choose_refiner(seen: list[dict]) -> tuple[str, np.ndarray, np.ndarray]:
+    """Refiner, corners (V, P, 2) and covariance (V, P, 2, 2): the detector's own only where they are clearly less rough."""
+    rough = {r: float(np.median([points[r].roughness_px for points in seen])) for r in corner.REFINERS}
+    first, second = corner.REFINERS
+    best = second if rough[second] < WORTH_ANOTHER_REFINER * rough[first] else first
+    return best, np.array([points[best].xy_px for points in seen]), np.array([points[best].covariance_px2 for points in seen])
 
 
 def _choose_model(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, int], settings: Settings) -> tuple[str, dict]:

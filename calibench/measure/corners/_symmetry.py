@@ -1,0 +1,164 @@
+"""Sub-pixel centre of symmetry: a corner of a checkerboard, or the middle of a dot, looks the same after half a turn.
+
+Half a turn on the board takes a pattern into itself about such a point, whatever the blur, the angle of the edges and the
+camera's response curve. So the point c is sought at which the light at c + d equals that at c - d:
+
+1. Fit a smooth map from board to image through all points of the view: local axes, and their bend (perspective, lens).
+2. Sample the image under a small Gaussian on a lattice centred at c, exactly at sub-pixel places.
+3. Gauss-Newton: odd part of the samples = - gradient . step, minus what the bend alone makes odd; windowed on the board.
+The weights fall to zero at the window's border, which is the same piece of the board in every view. As an estimator of
+location with an unknown even shape it loses no information to the unknown shape (Stein 1956; van Eeden 1970).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+FINE_SIGMA_PX = 0.8  # below this a Gaussian sum over pixels depends on where the pixels lie (2 exp(-2 pi^2 sigma^2))
+COARSE_SIGMAS_PX = (0.8, 3.0)  # the first round's Gaussian is a twelfth of the spacing, to catch a start 1 px off
+MOST_ROUNDS = 6
+CONVERGED_PX = 0.02  # Newton: after a step of this length the next one is far below any noise
+LEAST_HALF_PX, MOST_HALF_PX = 3.0, 24
+MOST_HALF = 0.5  # of the spacing: beyond stands what belongs to the neighbour
+FARTHEST = 0.25  # of the spacing: a refinement that leaves farther than this has lost its point
+STEP_PX = 1.5
+QUANTISATION_VARIANCE = 1 / 12
+
+
+def refine(grey: np.ndarray, xy_px: np.ndarray, uv: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
+    """Refined points and the covariance that the noise around each of them gives.
+
+    Args:
+        grey: (H, W) float image. xy_px: (P, 2) to about a pixel, NaN: not seen. uv: (P, 2) places on the board in spacings of
+            the nearest neighbour. window: half width of the window in the same unit.
+
+    Returns:
+        xy_px (P, 2), covariance_px2 (P, 2, 2); NaN where not seen or lost. The covariance holds noise of the image; errors of
+        the print come on top.
+    """
+    out, covariance = np.full(xy_px.shape, np.nan), np.full((len(xy_px), 2, 2), np.nan)
+    seen = np.flatnonzero(np.isfinite(xy_px).all(axis=-1))
+    start, uv = xy_px[seen].astype(float), uv[seen]
+    axes, bend, _ = _local_map(start, uv)
+    spacing = np.linalg.norm(axes, axis=1).min(axis=-1)
+    if not (np.abs(np.linalg.det(axes)) > spacing).all():  # the points lie on a line, or their order is confused
+        return out, covariance
+    half = np.minimum(np.maximum(window, LEAST_HALF_PX / spacing), MOST_HALF)
+    sigma = float(np.clip(np.median(spacing) / 12, *COARSE_SIGMAS_PX))
+    step, *_ = _step(grey, start, *_window(axes, bend, half), sigma)
+    centre = start + np.clip(np.nan_to_num(step), -STEP_PX, STEP_PX)
+    window_at = _window(*_local_map(centre, uv)[:2], half)  # a better map for the bend
+    for _ in range(MOST_ROUNDS):
+        step, *fit = _step(grey, centre, *window_at, FINE_SIGMA_PX)
+        centre = centre + np.clip(step, -STEP_PX, STEP_PX)
+        if not (np.abs(step) > CONVERGED_PX).any():
+            break
+    kept = np.linalg.norm(centre - start, axis=1) < FARTHEST * spacing  # not where the step is NaN: nothing to see there
+    if kept.any():
+        out[seen[kept]] = centre[kept]
+        covariance[seen[kept]] = _covariance(step[kept], *(each[kept] for each in fit))
+    return out, covariance
+
+
+def roughness_px(xy_px: np.ndarray, uv: np.ndarray) -> float:
+    """Median distance of the seen points from a smooth map of the board, px: what no lens can do."""
+    seen = np.isfinite(xy_px).all(axis=-1)
+    return float(np.median(np.linalg.norm(_local_map(xy_px[seen], uv[seen])[2], axis=1)))
+
+
+def _local_map(xy_px: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Axes (P, 2, 2) px a spacing, columns by u and v; bend (P, 2, 3), terms of uu, uv, vv; residual (P, 2) of the points.
+
+    A polynomial through the whole view, of as high a degree as the points bear, averages the error of each point.
+    """
+    degree = next(d for d, points in ((4, 25), (3, 16), (2, 9), (1, 0)) if len(uv) >= points)
+    middle = uv.mean(axis=0)
+    scale = np.abs(uv - middle).max()
+    powers = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)])
+    u, v = (((uv - middle) / scale)[:, axis, None] ** np.arange(degree + 1) for axis in (0, 1))
+    order = np.arange(1, degree + 1)
+    u1, v1 = (np.pad(x[:, :-1] * order, ((0, 0), (1, 0))) for x in (u, v))
+    u2, v2 = (np.pad(x[:, :-1] * order, ((0, 0), (1, 0))) for x in (u1, v1))
+
+    def terms(of_u: np.ndarray, of_v: np.ndarray) -> np.ndarray:
+        return of_u[:, powers[:, 0]] * of_v[:, powers[:, 1]]
+
+    coefficients = np.linalg.lstsq(terms(u, v), xy_px, rcond=None)[0]
+    axes = np.stack([terms(u1, v) @ coefficients, terms(u, v1) @ coefficients], axis=-1) / scale
+    bend = np.stack([terms(u2, v) @ coefficients / 2, terms(u1, v1) @ coefficients, terms(u, v2) @ coefficients / 2], axis=-1)
+    return axes, bend / scale**2, xy_px - terms(u, v) @ coefficients
+
+
+def _window(axes: np.ndarray, bend: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (P, n, n) on a lattice of n pixels, n odd, and how far the bend shifts each sample (2, P, n, n) px."""
+    reach = int(min(np.ceil((half[:, None] * np.abs(axes).sum(axis=-1)).max()), MOST_HALF_PX))
+    d = np.arange(-reach, reach + 1, dtype=np.float32)
+    lattice = np.stack(np.meshgrid(d, d)).reshape(2, -1)
+    u, v = np.moveaxis(np.linalg.inv(axes).astype(np.float32) @ lattice, 1, 0)
+    to_border = (np.pi / 2 / half[:, None]).astype(np.float32)
+    weight = np.prod([np.cos(np.clip(x * to_border, -np.pi / 2, np.pi / 2)) ** 2 for x in (u, v)], axis=0)
+    shift = np.moveaxis(bend.astype(np.float32) @ np.stack([u * u, u * v, v * v], axis=1), 1, 0)
+    shape = (len(axes), len(d), len(d))
+    return weight.reshape(shape), shift.reshape(2, *shape)
+
+
+def _step(grey: np.ndarray, centre: np.ndarray, weight: np.ndarray, shift: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
+    """Gauss-Newton step (P, 2) px, inverse normal matrix (P, 2, 2), gradient (P, 2, n, n), it weighted, odd part (P, n, n)."""
+    reach, margin = weight.shape[1] // 2 + 1, int(np.ceil(3 * sigma)) + 1  # one sample more all around, for the gradient
+    d, k = np.arange(-reach, reach + 1), np.arange(-reach - margin, reach + margin + 1)
+    size = np.array(grey.shape[::-1])
+    whole = np.rint(np.clip(np.nan_to_num(centre), 0, size - 1)).astype(int)
+    columns, rows = (np.clip(whole[:, i, None] + k, 0, size[i] - 1) for i in (0, 1))
+    patch = grey[rows[:, :, None], columns[:, None, :]]
+    to_x, to_y = (_sampling((centre - whole)[:, i], d, k, sigma) for i in (0, 1))
+    light = to_y @ patch @ to_x.swapaxes(1, 2)
+    odd = (light - light[:, ::-1, ::-1])[:, 1:-1, 1:-1] / 2
+    gradient = np.stack([light[:, 1:-1, 2:] - light[:, 1:-1, :-2], light[:, 2:, 1:-1] - light[:, :-2, 1:-1]], axis=1)
+    gradient = (gradient - gradient[:, :, ::-1, ::-1]) / 4
+    at = whole[:, :, None] + d[1:-1]
+    within = (at >= margin) & (at < size[:, None] - margin)
+    within &= within[:, :, ::-1]  # a sample counts only with its partner
+    weighted = gradient * (weight * (within[:, 1, :, None] & within[:, 0, None, :]))[:, None]
+    odd += gradient[:, 0] * shift[0] + gradient[:, 1] * shift[1]
+    normal, right = _products(weighted, gradient), _products(weighted, odd[:, None])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.array([[normal[:, 1, 1], -normal[:, 0, 1]], [-normal[:, 1, 0], normal[:, 0, 0]]]) / np.linalg.det(normal)
+        inverse = inverse.transpose(2, 0, 1)
+        return -(inverse @ right)[..., 0], inverse, gradient, weighted, odd
+
+
+def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Sums over the lattice of a (P, i, n, n) times b (P, j, n, n): (P, i, j)."""
+    a, b = (x.reshape(*x.shape[:2], -1) for x in (a, b))
+    return (a @ b.swapaxes(1, 2)).astype(float)
+
+
+def _sampling(fraction: np.ndarray, d: np.ndarray, k: np.ndarray, sigma: float) -> np.ndarray:
+    """(P, n, m): the light under a Gaussian at d + fraction from the pixels k."""
+    taps = np.arange(len(k) - len(d) + 1)
+    gauss = np.exp(-0.5 * ((taps + k[0] - d[0] - fraction[:, None]) / sigma) ** 2)
+    gauss /= gauss.sum(axis=1, keepdims=True)
+    out = np.zeros((len(fraction), len(d), len(k)), np.float32)
+    line = np.arange(len(d))[:, None]
+    out[:, line, line + taps] = gauss[:, None]
+    return out
+
+
+def _covariance(step: np.ndarray, inverse: np.ndarray, gradient: np.ndarray, weighted: np.ndarray,
+                odd: np.ndarray) -> np.ndarray:
+    """(P, 2, 2) px^2: pixel noise through the estimator; the noise is what stays odd where the edges are.
+
+    Half of it is the point's own estimate and half the view's median, because a small window alone knows its noise badly.
+    """
+    d = np.arange(odd.shape[1])
+    spread = 2 * FINE_SIGMA_PX**2  # samples share pixels: their correlation is the Gaussian folded with itself
+    shared = np.exp(-0.5 * (d[:, None] - d) ** 2 / spread) / np.sqrt(2 * np.pi * spread)
+    shared = np.where(shared > 1e-9, shared, 0).astype(np.float32)  # no denormal numbers: they are slow
+    unit = inverse @ _products(shared @ weighted @ shared, weighted) @ inverse  # for pixel noise of 1
+    left = odd + gradient[:, 0] * step[:, 0, None, None] + gradient[:, 1] * step[:, 1, None, None]
+    edges = (weighted * gradient).sum(axis=1, keepdims=True)
+    freedom = edges.sum(axis=(1, 2, 3)) / (4 * np.pi * spread)  # variance of the odd part of smoothed noise of 1
+    fitted = (_products(edges * gradient, gradient) * unit).sum(axis=(1, 2))
+    own = _products(edges, left[:, None] ** 2)[:, 0, 0] / np.maximum(freedom - fitted, 0.3 * freedom)
+    noise = np.maximum((own + np.median(own)) / 2, QUANTISATION_VARIANCE)
+    return noise[:, None, None] * unit

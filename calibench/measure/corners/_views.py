@@ -1,0 +1,110 @@
+"""From a frame to refined points by the detectors of one kind of target; and the question whether the board's size is right."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import ModuleType
+
+import cv2
+import numpy as np
+
+from ... import registry
+from ...errors import BadInput, UsageError
+from ...records import Frame
+from ._symmetry import refine, roughness_px
+from ._target import Target
+
+FOLDER = "calibench.measure.corners"
+REFINERS = ("symmetry", "detector")  # the second: sub-pixel places as the detector itself gives them
+LEAST_POINTS = 9
+DEMOSAIC = {"RGGB": cv2.COLOR_BayerRGGB2GRAY, "BGGR": cv2.COLOR_BayerBGGR2GRAY,
+            "GRBG": cv2.COLOR_BayerGRBG2GRAY, "GBRG": cv2.COLOR_BayerGBRG2GRAY}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Points:
+    """One way to the points of a view: xy_px (P, 2) and covariance_px2 (P, 2, 2), NaN: not seen; roughness_px: their median
+    distance from a smooth map of the board."""
+
+    xy_px: np.ndarray
+    covariance_px2: np.ndarray
+    roughness_px: float
+
+
+def detectors(target: str, detector: str | None) -> list[ModuleType]:
+    """The detector asked for, or all of a kind of target, the one that bears its name first.
+
+    Raises:
+        UsageError: no such target or detector, or the detector is for another target.
+    """
+    modules = {name: registry.load(FOLDER, name) for name in registry.names(FOLDER)}
+    kinds = sorted({module.TARGET for module in modules.values()})
+    if target not in kinds:
+        raise UsageError(f"no target '{target}'", mend=f"choose one of: {', '.join(kinds)}")
+    able = sorted((n for n, module in modules.items() if module.TARGET == target), key=lambda n: (n != target, n))
+    if detector is not None and registry.load(FOLDER, detector).TARGET != target:
+        raise UsageError(f"the detector {detector} is not for the target {target}", mend=f"choose one of: {', '.join(able)}")
+    return [modules[name] for name in ([detector] if detector else able)]
+
+
+def shade(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) uint8 for the detectors, to which deeper data are stretched, and float32 of full depth for the refiner."""
+    data = np.ascontiguousarray(frame.data)
+    if frame.bayer_pattern:
+        data = cv2.cvtColor(data, DEMOSAIC[frame.bayer_pattern])
+    if data.dtype == np.uint8:
+        return data, data.astype(np.float32)
+    low, high = np.percentile(data[::4, ::4], (0.1, 99.9))
+    return np.clip((data - low) * (255 / max(high - low, 1)), 0, 255).astype(np.uint8), data.astype(np.float32)
+
+
+def look(grey: np.ndarray, fine: np.ndarray, target: Target, able: Sequence[ModuleType],
+         window: float) -> dict[str, Points] | None:
+    """The target by each of REFINERS, from the first detector that sees it; None where none does.
+
+    Args:
+        grey, fine: from `shade`. window: half width of the refinement as a fraction of the local spacing, kept within what the
+            detector's target allows.
+    """
+    for module in able:
+        rough = module.find(grey, target)
+        if rough is not None:
+            uv = module.points(target.board)
+            nearest = np.linalg.norm(uv[1:] - uv[0], axis=1).min()
+            xy, covariance = refine(fine, rough, uv / nearest, float(np.clip(window, *module.WINDOWS)))
+            if np.isfinite(xy[:, 0]).sum() >= LEAST_POINTS:
+                own = roughness_px(rough, uv)
+                as_found = np.where(np.isfinite(rough)[..., None], np.eye(2) * own**2, np.nan)
+                return {"symmetry": Points(xy_px=xy, covariance_px2=covariance, roughness_px=roughness_px(xy, uv)),
+                        "detector": Points(xy_px=rough, covariance_px2=as_found, roughness_px=own)}
+    return None
+
+
+def points_mm(target: Target, module: ModuleType) -> np.ndarray:
+    """(P, 3) places of the points on a flat board, row by row, mm."""
+    return np.pad(module.points(target.board), ((0, 0), (0, 1))) * target.square_mm
+
+
+def check_board_size(found: Sequence[np.ndarray], missed: Sequence[np.ndarray], target: Target, module: ModuleType) -> None:
+    """Ask whether the board is larger than said (on views where it was found) or a neighbouring size (where it was not).
+
+    Raises:
+        BadInput: another size is what most of the probed views show.
+    """
+    columns, rows = target.board
+    size, views = target.board, list(found or missed)
+
+    def seen(size: tuple[int, int]) -> bool:
+        there = [module.find(grey, dataclasses.replace(target, board=size)) for grey in views]
+        return sum(xy is not None and bool(np.isfinite(xy).all()) for xy in there) * 2 > len(views)
+
+    if not found:
+        around = ((columns + i, rows + j) for i in (1, 0, -1) for j in (1, 0, -1))
+        size = next((s for s in around if s != target.board and min(s) > 2 and seen(s)), target.board)
+    while larger := next((s for s in ((size[0] + 1, size[1]), (size[0], size[1] + 1)) if seen(s)), None):
+        size = larger
+    if size != target.board:
+        raise BadInput(f"found {size[0]}x{size[1]}, you said {columns}x{rows}: count {module.POINT}",
+                       mend=f"give --board {size[0]}x{size[1]}")
