@@ -16,7 +16,8 @@ MIN_VIEWS = 3
 MIN_VIEWS_FOR_BOW = 5
 MIN_VIEWS_FOR_HALVES = 6
 CANDIDATE_MODELS = ("brown4", "brown5", "rational8")
-WORTH_A_TERM = 0.99  # further terms have to lower the held-out rms by 1 %: less is chance, and they bend the corners
+WORTH_A_TERM = 0.99  # each further term has to lower the held-out rms by 1 %: less is chance, and it bends the corners
+CHANCE_SIGMA = 2.0
 
 
 def solve(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str, *,
@@ -62,13 +63,14 @@ def with_model(lens: Intrinsics, model: str) -> Intrinsics:
     return dataclasses.replace(lens, model=model, distortion=distortion, covariance=np.full((4 + terms, 4 + terms), np.inf))
 
 
-def held_out_rms_px(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str, *,
-                    rejection: Rejection, worst_view: float) -> float:
-    """Lens and bow from the even views, only poses on the odd ones, and the other way round; rms over the inliers.
+def held_out_px2(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str, *,
+                 rejection: Rejection, worst_view: float) -> np.ndarray:
+    """Mean square residual (V,) of each view over its inliers, when only its pose is fitted, to a lens from the other half.
 
-    Infinite where a half does not determine the lens, or its lens has no direction for a corner of the other half.
+    The halves are the even and the odd views. Infinite where a half does not determine the lens, or its lens has no
+    direction for a corner of the other half.
     """
-    squares = []
+    out = np.empty(len(corners_px))
     for first in (0, 1):
         try:
             lens, _ = solve(corners_px[first::2], points_mm, image_size_px, model, rejection=rejection, worst_view=worst_view)
@@ -76,15 +78,26 @@ def held_out_rms_px(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px
             unseen = without_outliers(adjust(lens.intrinsics, [boards], lens_fixed=True, tolerance=COARSE), rejection,
                                       lens_fixed=True)
         except BadInput:
-            return np.inf
-        squares.append(np.sum(unseen.residual_px**2, axis=-1)[unseen.blocks[0].weight > 0])
-    return float(np.sqrt(np.concatenate(squares).mean()))
+            return np.full(len(corners_px), np.inf)
+        inlier = unseen.blocks[0].weight > 0
+        square = np.where(inlier, np.sum(unseen.residual_px**2, axis=-1), 0)
+        out[1 - first::2] = square.sum(axis=1) / np.maximum(inlier.sum(axis=1), 1)
+    return out
 
 
-def best_model(held_out: dict[str, float]) -> str:
-    """The model with the fewest terms that no other beats by more than chance (held-out rms by model, fewest terms first)."""
-    best, *more = held_out
+def best_model(held_out_px2: dict[str, np.ndarray]) -> str:
+    """The model with the fewest terms that no other beats by more than chance.
+
+    Args:
+        held_out_px2: mean square of each view (V,) by model, fewest terms first. More terms have to lower the rms, by 1 % a
+            term, and to do so in enough of the views: by two standard errors of the difference.
+    """
+    best, *more = held_out_px2
     for model in more:
-        if held_out[model] < WORTH_A_TERM * held_out[best]:
+        old, new = held_out_px2[best], held_out_px2[model]
+        further = len(DISTORTION_NAMES[model]) - len(DISTORTION_NAMES[best])
+        gain = old - new
+        if np.isfinite(new).all() and new.mean() < WORTH_A_TERM ** (2 * further) * old.mean() and (
+                not np.isfinite(old).all() or gain.mean() > CHANCE_SIGMA * gain.std() / np.sqrt(len(gain))):
             best = model
     return best
