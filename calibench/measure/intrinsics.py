@@ -4,7 +4,7 @@
 2. Choose the model by held-out error (solve on half of the views, only poses on the others); k3 and more have to lower it.
 3. Adjust lens, bow and poses; drop corners beyond `outlier_sigma` robust sigma, and views that do not fit; again.
 4. Ask whether the views determine the focal length at all.
-5. Covariance: classical, and clustered by view (the recommended one: corners of a view do not err independently).
+5. Covariance: classical, and the recommended one, clustered by view as far as the corners of a view err together.
 """
 
 from __future__ import annotations
@@ -83,7 +83,9 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
                                           "blurred, or another board"))
     names = [n for n, k in zip(names, kept, strict=True) if k]
     warnings = list(ledger.warnings)
-    classical, recommended = _covariances(solution, warnings)
+    classical, recommended = covariance.classical(solution), covariance.recommended(solution)
+    if len(solution.score) <= len(classical):
+        warnings.append(f"only {len(names)} views for {len(classical)} parameters: uncertainties are themselves uncertain")
     _check_observable(solution, classical)
     lens = len(solution.intrinsics.parameter_names)
     intrinsics = dataclasses.replace(solution.intrinsics, covariance=recommended[:lens, :lens])
@@ -158,10 +160,11 @@ def _choose_model(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, i
     """Model name and {model: held-out rms in px}; the first candidate where there are too few views to ask."""
     if len(corners) < MIN_VIEWS_FOR_HALVES:
         return settings.model or CANDIDATE_MODELS[0], {}
-    held_out = {model: board_lens.held_out_rms_px(corners, points_mm, size, model, rejection=_rejection(settings),
-                                                  worst_view=settings.worst_view)
+    held_out = {model: board_lens.held_out_px2(corners, points_mm, size, model, rejection=_rejection(settings),
+                                               worst_view=settings.worst_view)
                 for model in dict.fromkeys((*CANDIDATE_MODELS, settings.model or CANDIDATE_MODELS[0]))}
-    return settings.model or board_lens.best_model({m: held_out[m] for m in CANDIDATE_MODELS}), held_out
+    model = settings.model or board_lens.best_model({m: held_out[m] for m in CANDIDATE_MODELS})
+    return model, {m: float(np.sqrt(square.mean())) for m, square in held_out.items()}
 
 
 def _rejection(settings: Settings) -> Rejection:
@@ -174,17 +177,6 @@ def _robust(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, int], m
     solution, kept = board_lens.solve(corners, points_mm, size, model, rejection=_rejection(settings),
                                       worst_view=settings.worst_view)
     return solution, solution.blocks[0].weight > 0, kept
-
-
-def _covariances(solution: Solution, warnings: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Classical and recommended covariance over lens and bow (lens first)."""
-    classical, clustered = covariance.classical(solution), covariance.clustered(solution)
-    views, shared = solution.score.shape
-    if views <= shared:  # the sandwich has rank < views: keep the classical shape, with the size that the views show
-        whitened = np.trace(np.linalg.solve(classical, clustered)) / shared
-        clustered = max(1.0, float(whitened)) * classical
-        warnings.append(f"only {views} views for {shared} parameters: uncertainties are themselves uncertain")
-    return classical, clustered
 
 
 def _check_observable(solution: Solution, classical: np.ndarray) -> None:
@@ -218,7 +210,7 @@ def _coverage(xy_px: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _lens_quantities(intrinsics: Intrinsics) -> list[Quantity]:
-    opencv = "OpenCV camera model, integer pixel = pixel centre; uncertainty clustered by view (CR2)"
+    opencv = "OpenCV camera model, integer pixel = pixel centre; uncertainty clustered by view (CR2) as far as needed"
     sd = np.sqrt(np.diag(intrinsics.covariance))
     return [Quantity(name=name, value=float(value), unit="px" if name.endswith("_px") else "1",
                      symbol=name.removesuffix("_px"), uncertainty=float(error), source=opencv)
