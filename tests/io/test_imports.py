@@ -80,6 +80,15 @@ def test_the_six_zeros_that_calibrate_camera_appends_are_left_out(tmp_path):
     np.testing.assert_array_equal(read("opencv_yaml", path).distortion, DISTORTION["rational8"])
 
 
+@pytest.mark.parametrize("name", registry.names("calibench.io.imports"))
+def test_line_ends_of_windows_make_no_difference(tmp_path, name):
+    path, given = tmp_path / "camera", lens("brown5")
+    calmap = CalibrationMap(image_size_px=SIZE, intrinsics=given, measured=frozenset(["intrinsics"]))
+    registry.load("calibench.io.exports", name).export(calmap, path)
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    np.testing.assert_array_equal(read(name, path).parameters, given.parameters)
+
+
 def test_the_layout_of_opencv_5(tmp_path):
     path = tmp_path / "camera.yml"
     path.write_text("""\
@@ -102,8 +111,8 @@ distortion_coefficients: !!opencv-nd-matrix
 
 
 @pytest.mark.parametrize(("distortion", "more", "complaint"), [
-    ([[0.1, 0.2, 0, 0, 0, 0, 0, 0, 1e-3, 0, 0, 0]], {}, "thin-prism or tilt"),
-    ([[0.1, 0.2, 0]], {}, "of 3 coefficients"),
+    ([[0.1, 0.2, 0, 0, 0, 0, 0, 0, 1e-3, 0, 0, 0]], {}, "12 distortion coefficients, 9 without zeros .* a known model"),
+    ([[0.1, 0.2, 0]], {}, "its 3 distortion coefficients"),
     ([[0.1, 0.2, 0, 0]], {"fisheye_model": 1}, "fisheye"),
     ([[0.1, 0.2, 0, 0]], {"camera_matrix": MATRIX + [[0, 0.5, 0], [0, 0, 0], [0, 0, 0]]}, "is not .fx 0 cx"),
     ([[0.1, 0.2, 0, 0]], {"camera_matrix": MATRIX * [[-1], [1], [1]]}, "not positive"),
@@ -111,7 +120,8 @@ distortion_coefficients: !!opencv-nd-matrix
     ([[0.1, 0.2, 0, 0]], {"image_width": 640.5}, "image size"),
     ([[0.1, np.nan, 0, 0]], {}, "not finite"),
     ([[0.1, 0.2, 0, 0]], {"lens_model": "omni"}, "omni"),
-    ([[0.1, 0.2, 0, 0]], {"lens_model": "brown5"}, "brown5"),
+    ([[0.1, 0.2, 0, 0]], {"lens_model": "brown5"}, "those of brown5"),
+    ([[0.1, 0.2, 0, 0]], {"lens_model": "pinhole"}, "those of pinhole"),
     ([[0.1, 0.2, 0, 0]], {"parameter_covariance": np.eye(7)}, "7 x 7, not 8 x 8"),
     ([[0.1, 0.2, 0, 0]], {"parameter_covariance": -np.eye(8)}, "variances"),
 ])

@@ -12,7 +12,10 @@ import numpy as np
 
 from ...records import CalibrationMap
 from .. import atomic
-from ._lens import measured_lens, number_list
+from ._lens import measured_lens, named_model, number_list
+
+# OpenCV does not name these models: the number of coefficients tells them apart.
+MODELS = {name: name for name in ("pinhole", "brown4", "brown5", "rational8")}
 
 
 def export(calmap: CalibrationMap, path: Path | str) -> None:
@@ -23,9 +26,10 @@ def export(calmap: CalibrationMap, path: Path | str) -> None:
     but a (4, 4) covariance, because a matrix without elements cannot be read back.
 
     Raises:
-        BadInput: no exportable intrinsics, or the file cannot be written.
+        BadInput: no exportable intrinsics, a lens model that OpenCV has not, or the file cannot be written.
     """
     lens = measured_lens(calmap, path)
+    model = named_model(lens, MODELS, "OpenCV", path)
     w, h = lens.image_size_px
     distortion = lens.distortion if len(lens.distortion) else np.zeros(4)
     atomic.write_bytes(path, "\n".join((
@@ -33,7 +37,7 @@ def export(calmap: CalibrationMap, path: Path | str) -> None:
         "---",
         f"image_width: {w}",
         f"image_height: {h}",
-        f"lens_model: {lens.model}",
+        f"lens_model: {model}",
         _matrix("camera_matrix", lens.camera_matrix),
         _matrix("distortion_coefficients", distortion[np.newaxis]),
         _matrix("parameter_uncertainty", np.sqrt(np.diag(lens.covariance))[np.newaxis]),

@@ -15,10 +15,11 @@ import numpy as np
 
 from ...errors import BadInput
 from ...records import DISTORTION_NAMES, Intrinsics
+from ..exports.opencv_yaml import MODELS
 from ._checked import DAMAGED_MEND, NUMBER, checked_lens, text_of
 
 # A file of another program does not name its model: the number of coefficients does, as for cv2.projectPoints.
-MODEL_BY_COUNT = {0: "pinhole", 4: "brown4", 5: "brown5", 8: "rational8"}
+MODEL_BY_COUNT = {len(DISTORTION_NAMES[model]): model for model in MODELS}
 
 _NUMBER = re.compile(rf"{NUMBER}|-?\.Inf|\.Nan", re.IGNORECASE)
 _MATRIX = re.compile(
@@ -29,10 +30,10 @@ _MATRIX = re.compile(
 def read(path: Path | str) -> Intrinsics:
     """The lens; its covariance where the file has our parameter_covariance, else unknown (infinite).
 
-    cv2.calibrateCamera gives 12 or 14 coefficients where it was asked for eight: those beyond the eighth must be zero.
+    cv2.calibrateCamera gives 14 coefficients where it was asked for eight: those beyond the model's must be zero.
 
     Raises:
-        BadInput: not such a file, a name is missing or malformed, a fisheye, skew, or thin-prism and tilt terms.
+        BadInput: not such a file, a name is missing or malformed, a fisheye, skew, or more terms than a model here has.
     """
     entries = _entries(text_of(path), path)
     camera_matrix = _matrix(entries, "camera_matrix", path)
@@ -102,19 +103,18 @@ def _entry(entries: Mapping[str, str], name: str, path: Path | str) -> str:
 
 
 def _model(entries: Mapping[str, str], distortion: np.ndarray, path: Path | str) -> str:
-    stated = entries.get("lens_model")
-    if stated in DISTORTION_NAMES:
-        n = len(DISTORTION_NAMES[stated])
+    stated, count = entries.get("lens_model"), len(distortion)
+    used = int(max(np.flatnonzero(distortion), default=-1)) + 1
+    if stated in MODELS:
+        fits = used <= len(DISTORTION_NAMES[stated]) <= count
     else:
-        n = len(distortion) if len(distortion) <= 8 else 8
-        if stated or n not in MODEL_BY_COUNT:
-            raise BadInput(f"its lens model {stated or f'of {n} coefficients'} is unknown", file=path,
-                           mend=f"known are: {', '.join(DISTORTION_NAMES)}")
-    if len(distortion) < n or np.any(distortion[n:] != 0):
-        raise BadInput(f"its {len(distortion)} distortion coefficients are not those of "
-                       f"{stated or 'a rational model: thin-prism or tilt terms are not zero'}", file=path,
-                       mend="calibrate with a model of at most eight coefficients")
-    return stated or MODEL_BY_COUNT[n]
+        shorter = [n for n in sorted(MODEL_BY_COUNT) if used <= n <= count]
+        fits = stated is None and bool(shorter)
+    if not fits:
+        raise BadInput(f"its {count} distortion coefficients, {used} without zeros at the end, are not those of "
+                       f"{stated or 'a known model'}", file=path,
+                       mend=f"calibrate with one of: {', '.join(f'{model} ({n})' for n, model in MODEL_BY_COUNT.items())}")
+    return stated or MODEL_BY_COUNT.get(count, MODEL_BY_COUNT[shorter[0]])
 
 
 def _size(matrix: np.ndarray) -> str:
