@@ -12,12 +12,14 @@ location with an unknown even shape it loses no information to the unknown shape
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
-FINE_SIGMA_PX = 0.8  # below this a Gaussian sum over pixels depends on where the pixels lie (2 exp(-2 pi^2 sigma^2))
-COARSE_SIGMAS_PX = (0.8, 3.0)  # the first round's Gaussian is a twelfth of the spacing, to catch a start 1 px off
-MOST_ROUNDS = 6
-CONVERGED_PX = 0.02  # Newton: after a step of this length the next one is far below any noise
+SIGMA_PX = 0.8  # below this a Gaussian sum over pixels depends on where the pixels lie (2 exp(-2 pi^2 sigma^2))
+MARGIN_PX = 4  # of the Gaussian around the lattice
+MOST_ROUNDS = 8
+NEAR_PX = 0.1  # Newton: after a step of this length the next one is 0.001 px
 LEAST_HALF_PX, MOST_HALF_PX = 3.0, 24
 MOST_HALF = 0.5  # of the spacing: beyond stands what belongs to the neighbour
 FARTHEST = 0.25  # of the spacing: a refinement that leaves farther than this has lost its point
@@ -39,24 +41,25 @@ def refine(grey: np.ndarray, xy_px: np.ndarray, uv: np.ndarray, window: float) -
     out, covariance = np.full(xy_px.shape, np.nan), np.full((len(xy_px), 2, 2), np.nan)
     seen = np.flatnonzero(np.isfinite(xy_px).all(axis=-1))
     start, uv = xy_px[seen].astype(float), uv[seen]
+    centre = start
     axes, bend, _ = _local_map(start, uv)
     spacing = np.linalg.norm(axes, axis=1).min(axis=-1)
     if not (np.abs(np.linalg.det(axes)) > spacing).all():  # the points lie on a line, or their order is confused
         return out, covariance
     half = np.minimum(np.maximum(window, LEAST_HALF_PX / spacing), MOST_HALF)
-    sigma = float(np.clip(np.median(spacing) / 12, *COARSE_SIGMAS_PX))
-    step, *_ = _step(grey, start, *_window(axes, bend, half), sigma)
-    centre = start + np.clip(np.nan_to_num(step), -STEP_PX, STEP_PX)
-    window_at = _window(*_local_map(centre, uv)[:2], half)  # a better map for the bend
+    padded = np.pad(grey, MOST_HALF_PX + MARGIN_PX, mode="edge")
+    window_at = _window(axes, bend, half)
     for _ in range(MOST_ROUNDS):
-        step, *fit = _step(grey, centre, *window_at, FINE_SIGMA_PX)
+        step, *fit = _step(padded, centre, *window_at)
         centre = centre + np.clip(step, -STEP_PX, STEP_PX)
-        if not (np.abs(step) > CONVERGED_PX).any():
+        if not (np.abs(step) > NEAR_PX).any():
             break
+        if np.isfinite(step).all():  # a better map of the bend
+            window_at = _window(*_local_map(centre, uv)[:2], half)
     kept = np.linalg.norm(centre - start, axis=1) < FARTHEST * spacing  # not where the step is NaN: nothing to see there
     if kept.any():
         out[seen[kept]] = centre[kept]
-        covariance[seen[kept]] = _covariance(step[kept], *(each[kept] for each in fit))
+        covariance[seen[kept]] = _covariance(step, *fit)[kept]
     return out, covariance
 
 
@@ -67,26 +70,28 @@ def roughness_px(xy_px: np.ndarray, uv: np.ndarray) -> float:
 
 
 def _local_map(xy_px: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Axes (P, 2, 2) px a spacing, columns by u and v; bend (P, 2, 3), terms of uu, uv, vv; residual (P, 2) of the points.
+    """Axes (P, 2, 2) px a spacing, columns by u and v; bend (P, 2, 3), terms of uu, uv, vv; residual (P, 2) of the points."""
+    smooth, by_u, by_v, *second = _smoothing(uv.tobytes()) @ xy_px
+    return np.stack([by_u, by_v], axis=-1), np.stack(second, axis=-1), xy_px - smooth
+
+
+@lru_cache(maxsize=16)  # most views show the same points
+def _smoothing(places: bytes) -> np.ndarray:
+    """(6, P, P): values and derivatives (u, v, uu / 2, uv, vv / 2) of a polynomial through values at P places, at these places.
 
     A polynomial through the whole view, of as high a degree as the points bear, averages the error of each point.
     """
+    uv = np.frombuffer(places).reshape(-1, 2)
     degree = next(d for d, points in ((4, 25), (3, 16), (2, 9), (1, 0)) if len(uv) >= points)
     middle = uv.mean(axis=0)
     scale = np.abs(uv - middle).max()
-    powers = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)])
-    u, v = (((uv - middle) / scale)[:, axis, None] ** np.arange(degree + 1) for axis in (0, 1))
+    i, j = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]).T
     order = np.arange(1, degree + 1)
-    u1, v1 = (np.pad(x[:, :-1] * order, ((0, 0), (1, 0))) for x in (u, v))
-    u2, v2 = (np.pad(x[:, :-1] * order, ((0, 0), (1, 0))) for x in (u1, v1))
-
-    def terms(of_u: np.ndarray, of_v: np.ndarray) -> np.ndarray:
-        return of_u[:, powers[:, 0]] * of_v[:, powers[:, 1]]
-
-    coefficients = np.linalg.lstsq(terms(u, v), xy_px, rcond=None)[0]
-    axes = np.stack([terms(u1, v) @ coefficients, terms(u, v1) @ coefficients], axis=-1) / scale
-    bend = np.stack([terms(u2, v) @ coefficients / 2, terms(u1, v1) @ coefficients, terms(u, v2) @ coefficients / 2], axis=-1)
-    return axes, bend / scale**2, xy_px - terms(u, v) @ coefficients
+    u, v = (((uv - middle) / scale)[:, axis, None] ** np.arange(degree + 1) for axis in (0, 1))
+    u1, v1 = (np.pad(x[:, :-1] * order, ((0, 0), (1, 0))) / scale for x in (u, v))
+    u2, v2 = (np.pad(x[:, :-1] * order, ((0, 0), (1, 0))) / scale for x in (u1, v1))
+    terms = np.array([a[:, i] * b[:, j] for a, b in ((u, v), (u1, v), (u, v1), (u2 / 2, v), (u1, v1), (u, v2 / 2))])
+    return terms @ np.linalg.pinv(terms[0])
 
 
 def _window(axes: np.ndarray, bend: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -102,24 +107,27 @@ def _window(axes: np.ndarray, bend: np.ndarray, half: np.ndarray) -> tuple[np.nd
     return weight.reshape(shape), shift.reshape(2, *shape)
 
 
-def _step(grey: np.ndarray, centre: np.ndarray, weight: np.ndarray, shift: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
+def _step(padded: np.ndarray, centre: np.ndarray, weight: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, ...]:
     """Gauss-Newton step (P, 2) px, inverse normal matrix (P, 2, 2), gradient (P, 2, n, n), it weighted, odd part (P, n, n)."""
-    reach, margin = weight.shape[1] // 2 + 1, int(np.ceil(3 * sigma)) + 1  # one sample more all around, for the gradient
-    d, k = np.arange(-reach, reach + 1), np.arange(-reach - margin, reach + margin + 1)
-    size = np.array(grey.shape[::-1])
+    reach, border = weight.shape[1] // 2, MOST_HALF_PX + MARGIN_PX
+    side = 2 * (reach + MARGIN_PX) + 1
+    size = np.array(padded.shape[::-1]) - 2 * border
     whole = np.rint(np.clip(np.nan_to_num(centre), 0, size - 1)).astype(int)
-    columns, rows = (np.clip(whole[:, i, None] + k, 0, size[i] - 1) for i in (0, 1))
-    patch = grey[rows[:, :, None], columns[:, None, :]]
-    to_x, to_y = (_sampling((centre - whole)[:, i], d, k, sigma) for i in (0, 1))
-    light = to_y @ patch @ to_x.swapaxes(1, 2)
-    odd = (light - light[:, ::-1, ::-1])[:, 1:-1, 1:-1] / 2
-    gradient = np.stack([light[:, 1:-1, 2:] - light[:, 1:-1, :-2], light[:, 2:, 1:-1] - light[:, :-2, 1:-1]], axis=1)
-    gradient = (gradient - gradient[:, :, ::-1, ::-1]) / 4
-    at = whole[:, :, None] + d[1:-1]
-    within = (at >= margin) & (at < size[:, None] - margin)
-    within &= within[:, :, ::-1]  # a sample counts only with its partner
-    weighted = gradient * (weight * (within[:, 1, :, None] & within[:, 0, None, :]))[:, None]
+    column, row = (whole + border - reach - MARGIN_PX).T
+    patch = np.lib.stride_tricks.sliding_window_view(padded, (side, side))[row, column].astype(np.float32)
+    (to_x, by_x), (to_y, by_y) = (_sampling((centre - whole)[:, i], reach) for i in (0, 1))
+    across = patch @ to_x
+    light = to_y.swapaxes(1, 2) @ across
+    gradient = np.stack([to_y.swapaxes(1, 2) @ (patch @ by_x), by_y.swapaxes(1, 2) @ across], axis=1)
+    gradient = (gradient - gradient[..., ::-1, ::-1]) / 2
+    odd = (light - light[:, ::-1, ::-1]) / 2
     odd += gradient[:, 0] * shift[0] + gradient[:, 1] * shift[1]
+    at = whole[:, :, None] + np.arange(-reach, reach + 1)
+    within = (at >= 0) & (at < size[:, None])
+    within &= within[:, :, ::-1]  # a sample counts only with its partner
+    if not within.all():
+        weight = weight * (within[:, 1, :, None] & within[:, 0, None, :])
+    weighted = gradient * weight[:, None]
     normal, right = _products(weighted, gradient), _products(weighted, odd[:, None])
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = np.array([[normal[:, 1, 1], -normal[:, 0, 1]], [-normal[:, 1, 0], normal[:, 0, 0]]]) / np.linalg.det(normal)
@@ -133,14 +141,16 @@ def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a @ b.swapaxes(1, 2)).astype(float)
 
 
-def _sampling(fraction: np.ndarray, d: np.ndarray, k: np.ndarray, sigma: float) -> np.ndarray:
-    """(P, n, m): the light under a Gaussian at d + fraction from the pixels k."""
-    taps = np.arange(len(k) - len(d) + 1)
-    gauss = np.exp(-0.5 * ((taps + k[0] - d[0] - fraction[:, None]) / sigma) ** 2)
+def _sampling(fraction: np.ndarray, reach: int) -> np.ndarray:
+    """(2, P, m, n): weights of m pixels in the light under a Gaussian at n places, a pixel apart; and in its derivative."""
+    taps = np.arange(-MARGIN_PX, MARGIN_PX + 1)
+    t = taps - fraction[:, None]
+    gauss = np.exp(-0.5 * (t / SIGMA_PX) ** 2)
     gauss /= gauss.sum(axis=1, keepdims=True)
-    out = np.zeros((len(fraction), len(d), len(k)), np.float32)
-    line = np.arange(len(d))[:, None]
-    out[:, line, line + taps] = gauss[:, None]
+    n = 2 * reach + 1
+    out = np.zeros((2, len(fraction), n + 2 * MARGIN_PX, n), np.float32)
+    place = np.arange(n)[:, None]
+    out[:, :, place + taps + MARGIN_PX, place] = np.stack([gauss, t / SIGMA_PX**2 * gauss])[:, :, None]
     return out
 
 
@@ -151,7 +161,7 @@ def _covariance(step: np.ndarray, inverse: np.ndarray, gradient: np.ndarray, wei
     Half of it is the point's own estimate and half the view's median, because a small window alone knows its noise badly.
     """
     d = np.arange(odd.shape[1])
-    spread = 2 * FINE_SIGMA_PX**2  # samples share pixels: their correlation is the Gaussian folded with itself
+    spread = 2 * SIGMA_PX**2  # samples share pixels: their correlation is the Gaussian folded with itself
     shared = np.exp(-0.5 * (d[:, None] - d) ** 2 / spread) / np.sqrt(2 * np.pi * spread)
     shared = np.where(shared > 1e-9, shared, 0).astype(np.float32)  # no denormal numbers: they are slow
     unit = inverse @ _products(shared @ weighted @ shared, weighted) @ inverse  # for pixel noise of 1
@@ -160,5 +170,5 @@ def _covariance(step: np.ndarray, inverse: np.ndarray, gradient: np.ndarray, wei
     freedom = edges.sum(axis=(1, 2, 3)) / (4 * np.pi * spread)  # variance of the odd part of smoothed noise of 1
     fitted = (_products(edges * gradient, gradient) * unit).sum(axis=(1, 2))
     own = _products(edges, left[:, None] ** 2)[:, 0, 0] / np.maximum(freedom - fitted, 0.3 * freedom)
-    noise = np.maximum((own + np.median(own)) / 2, QUANTISATION_VARIANCE)
+    noise = np.maximum((own + np.nanmedian(own)) / 2, QUANTISATION_VARIANCE)
     return noise[:, None, None] * unit

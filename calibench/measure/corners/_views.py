@@ -50,14 +50,14 @@ def detectors(target: str, detector: str | None) -> list[ModuleType]:
 
 
 def shade(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) uint8 for the detectors, to which deeper data are stretched, and float32 of full depth for the refiner."""
+    """(H, W) uint8 for the detectors, to which deeper data are stretched, and the data of full depth for the refiner."""
     data = np.ascontiguousarray(frame.data)
     if frame.bayer_pattern:
         data = cv2.cvtColor(data, DEMOSAIC[frame.bayer_pattern])
     if data.dtype == np.uint8:
-        return data, data.astype(np.float32)
+        return data, data
     low, high = np.percentile(data[::4, ::4], (0.1, 99.9))
-    return np.clip((data - low) * (255 / max(high - low, 1)), 0, 255).astype(np.uint8), data.astype(np.float32)
+    return np.clip((data - low) * (255 / max(high - low, 1)), 0, 255).astype(np.uint8), data
 
 
 def look(grey: np.ndarray, fine: np.ndarray, target: Target, able: Sequence[ModuleType],
