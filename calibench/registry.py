@@ -1,7 +1,7 @@
 """Open folders: a package whose every module is one choice. One new file is the whole change.
 
 `names` lists the folder, `load` imports one file of it. A file whose name starts with an underscore, and `kernels`,
-are the folder's own tools and no choices.
+are the folder's own tools and no choices; nor is a folder inside it.
 """
 
 from __future__ import annotations

@@ -16,21 +16,30 @@ MapOut = Annotated[Path | None, typer.Option("--map-out", help="Write a map: the
 
 
 def intrinsics(frames: Frames,
-               board: Annotated[str, typer.Option(help="Inner corners, columns x rows, like 9x6.")],
-               square_mm: Annotated[float, typer.Option(help="Side of one square, mm.")],
+               board: Annotated[str, typer.Option(help="Inner corners (or dots), columns x rows, like 9x6.")],
+               square_mm: Annotated[float, typer.Option(help="Side of one square, mm (dots: their distance; asymmetric dots: "
+                                                             "half their distance in a row).")],
                model: Annotated[str | None, typer.Option(help="Lens model; without it, chosen by held-out error.")] = None,
+               target: Annotated[str, typer.Option(help="checkerboard, charuco, circles(_asymmetric).")] = "checkerboard",
+               detector: Annotated[str | None, typer.Option(help="How to find the target; else all ways in turn.")] = None,
+               marker_mm: Annotated[float | None, typer.Option(help="Side of a ChArUco board's markers, mm; without it, "
+                                                                    "3/4 of a square.")] = None,
+               dictionary: Annotated[str, typer.Option(help="A ChArUco board's markers, in OpenCV's words.")] = "DICT_4X4_50",
+               window: Annotated[float, typer.Option(help="Half width of the corner refinement in squares, kept within "
+                                                          "what the target allows.")] = 0.2,
                map_: Map = None, map_out: MapOut = None, json_: Json = False) -> None:
-    """Lens and camera matrix from views of a flat checkerboard."""
+    """Lens and camera matrix from views of a flat target."""
     from ..records import DISTORTION_NAMES
     if model is not None and model not in DISTORTION_NAMES:
         raise UsageError(f"no lens model '{model}'", mend=f"choose one of: {', '.join(DISTORTION_NAMES)}")
-    _measure("intrinsics", "light", frames, {"board": board_size(board), "square_mm": square_mm, "model": model},
-             map_, map_out, json_)
+    settings = {"board": board_size(board), "square_mm": square_mm, "model": model, "target": target, "detector": detector,
+                "marker_mm": marker_mm, "dictionary": dictionary, "window": window}
+    _measure("intrinsics", "light", frames, settings, map_, map_out, json_)
 
 
 def dark(frames: Frames, map_: Map = None, map_out: MapOut = None,
          hot_rate: Annotated[float, typer.Option(help="Dark rate above the local median that makes a pixel hot, e-/s "
-                                                      "(DN/s where the gain is unknown).")] = 20.0,
+                                                      "(DN/s where the gain is unknown).", min=0)] = 20.0,
          json_: Json = False) -> None:
     """Offset, dark current, read noise and hot pixels from capped frames."""
     _measure("dark", "dark", frames, {"hot_rate_per_s": hot_rate}, map_, map_out, json_)
@@ -49,6 +58,9 @@ def psf(frames: Frames, map_: Map = None, map_out: MapOut = None, json_: Json = 
 COMMANDS = (intrinsics, dark, flat, psf)
 
 
+LARGEST_BOARD = 60
+
+
 def board_size(text: str) -> tuple[int, int]:
     """"9x6" -> (9, 6).
 
@@ -58,7 +70,10 @@ def board_size(text: str) -> tuple[int, int]:
     parts = text.lower().split("x")
     if len(parts) != 2 or not all(p.isdigit() for p in parts):
         raise UsageError(f"--board {text}: not a board size", mend="inner corners, columns x rows, like --board 9x6")
-    return int(parts[0]), int(parts[1])
+    columns, rows = int(parts[0]), int(parts[1])
+    if not (3 <= columns <= LARGEST_BOARD and 3 <= rows <= LARGEST_BOARD):
+        raise UsageError(f"--board {text}: a board has 3 to {LARGEST_BOARD} inner corners a side")
+    return columns, rows
 
 
 def _measure(name: str, kind: str, arguments: list[Path], settings: dict, map_: Path | None, map_out: Path | None,

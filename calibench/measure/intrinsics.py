@@ -130,14 +130,14 @@ def _find_corners(frames: Iterable[Frame], settings: Settings, ledger: Ledger) -
             points = corner.look(grey, fine, target, able, settings.window)
         except BadInput as error:
             raise BadInput(error.what, file=frame.file or None, mend=error.mend) from error
-        kept = missed if points is None else found
-        kept += [grey] if len(kept) < PROBED_VIEWS else []
         if points is None:
             columns, rows = settings.board
+            missed += [grey] if len(missed) < PROBED_VIEWS else []
             ledger.reject(frame, f"no board of {columns}x{rows} {quick.POINT.split(',')[0]} is seen")
             continue
         names.append(frame.file or frame.name)
         seen.append(points)
+        found += [(grey, points[corner.REFINERS[0]].xy_px)] if len(found) < PROBED_VIEWS else []
     ledger.first  # noqa: B018  raises where there was no frame at all
     corner.check_board_size(found, missed, target, quick)
     if len(names) < MIN_VIEWS:

@@ -13,6 +13,9 @@ from calibench.errors import UsageError
 # Open folder -> what each of its modules offers: a function by its first parameters, or a value of a type.
 CONTRACTS: dict[str, dict[str, tuple[str, ...] | type]] = {
     "calibench.measure": {"measure": ("frames", "settings", "calmap"), "Settings": type},
+    "calibench.measure.corners": {"find": ("grey", "target"), "points": ("board",),
+                                  "may_go_on": ("grey", "xy_px", "board"), "TARGET": str, "POINT": str,
+                                  "WINDOWS": tuple},
     "calibench.spots.detect": {"detect": ("signal_dn", "noise_dn", "unusable", "k_sigma")},
     "calibench.spots.centroid": {"centroid": ("scene", "candidates")},
     "calibench.stars.identify": {"table_key": ("view",), "build": ("sky", "key"),
@@ -58,6 +61,12 @@ def test_an_unknown_name_answers_with_the_known_ones(folder):
         registry.load(folder, "no_such_choice")
     assert all(name in str(caught.value) for name in registry.names(folder))
     assert caught.value.exit_code == 2
+
+
+def test_a_folder_inside_an_open_folder_is_no_choice_of_it():
+    assert "corners" not in registry.names("calibench.measure")
+    with pytest.raises(UsageError):
+        registry.load("calibench.measure", "corners")
 
 
 @pytest.mark.parametrize("name", ["_hidden", "kernels", "..errors", "", "__init__"])

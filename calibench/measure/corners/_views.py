@@ -87,19 +87,25 @@ def points_mm(target: Target, module: ModuleType) -> np.ndarray:
     return np.pad(module.points(target.board), ((0, 0), (0, 1))) * target.square_mm
 
 
-def check_board_size(found: Sequence[np.ndarray], missed: Sequence[np.ndarray], target: Target, module: ModuleType) -> None:
-    """Ask whether the board is larger than said (on views where it was found) or a neighbouring size (where it was not).
+def check_board_size(found: Sequence[tuple[np.ndarray, np.ndarray]], missed: Sequence[np.ndarray], target: Target,
+                     module: ModuleType) -> None:
+    """Ask whether the board is larger than said or, where it was never found, of a neighbouring size.
+
+    Args:
+        found: some views that show it with its points (P, 2) px. missed: some that do not.
 
     Raises:
         BadInput: another size is what most of the probed views show.
     """
     columns, rows = target.board
-    size, views = target.board, list(found or missed)
+    size, views = target.board, [grey for grey, _ in found] or list(missed)
 
     def seen(size: tuple[int, int]) -> bool:
         there = [module.find(grey, dataclasses.replace(target, board=size)) for grey in views]
         return sum(xy is not None and bool(np.isfinite(xy).all()) for xy in there) * 2 > len(views)
 
+    if found and not any(module.may_go_on(grey, xy, size) for grey, xy in found):
+        return
     if not found:
         around = ((columns + i, rows + j) for i in (1, 0, -1) for j in (1, 0, -1))
         size = next((s for s in around if s != target.board and min(s) > 2 and seen(s)), target.board)

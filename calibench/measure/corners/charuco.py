@@ -9,7 +9,7 @@ from ...errors import BadInput
 from ._target import Target
 from ._target import grid as points
 
-__all__ = ["POINT", "TARGET", "WINDOWS", "find", "points"]
+__all__ = ["POINT", "TARGET", "WINDOWS", "find", "may_go_on", "points"]
 
 TARGET = "charuco"
 POINT = "inner corners, where four squares meet"
@@ -29,6 +29,11 @@ def find(grey: np.ndarray, target: Target) -> np.ndarray | None:
         raise BadInput("the image is mirrored: its markers can be read only when it is flipped",
                        mend="flip the frames, or take the mirror out of the light path")
     return found
+
+
+def may_go_on(grey: np.ndarray, xy_px: np.ndarray, board: tuple[int, int]) -> bool:
+    """No: the markers of a larger board are numbered otherwise."""
+    return False
 
 
 def _corners(grey: np.ndarray, target: Target) -> np.ndarray | None:

@@ -13,7 +13,7 @@ import numpy as np
 from ._target import Target, right_handed
 from ._target import grid as points
 
-__all__ = ["POINT", "TARGET", "WINDOWS", "find", "points"]
+__all__ = ["POINT", "TARGET", "WINDOWS", "find", "may_go_on", "points"]
 
 TARGET = "circles"
 POINT = "dots"
@@ -24,3 +24,8 @@ def find(grey: np.ndarray, target: Target) -> np.ndarray | None:
     """Middles (P, 2) px row by row, all of them; None where the grid is not seen whole."""
     found, middles = cv2.findCirclesGrid(grey, target.board, flags=cv2.CALIB_CB_SYMMETRIC_GRID)
     return right_handed(middles.astype(float), target.board) if found else None
+
+
+def may_go_on(grey: np.ndarray, xy_px: np.ndarray, board: tuple[int, int]) -> bool:
+    """Yes: only the search tells."""
+    return True

@@ -12,9 +12,9 @@ import numpy as np
 
 from ...errors import BadInput
 from ._target import Target, grid, turns
-from .circles import POINT, WINDOWS
+from .circles import POINT, WINDOWS, may_go_on
 
-__all__ = ["POINT", "TARGET", "WINDOWS", "find", "points"]
+__all__ = ["POINT", "TARGET", "WINDOWS", "find", "may_go_on", "points"]
 
 TARGET = "circles_asymmetric"
 
