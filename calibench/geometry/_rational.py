@@ -13,7 +13,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 TERMS = 12
 NEWTON_STEPS = 20
@@ -28,14 +27,11 @@ def _padded(terms: np.ndarray) -> list[float]:
 def fold_radius(terms: tuple[float, ...]) -> float:
     """tan of the angle up to which the radial distortion is monotone and finite; infinite where it never turns back."""
     k1, k2, _, _, k3, k4, k5, k6 = _padded(terms)[:8]
-    n, d = Polynomial([1, k1, k2, k3]), Polynomial([1, k4, k5, k6])
-    u = Polynomial([0, 1])
-    slope = (n + 2 * u * n.deriv()) * d - 2 * u * n * d.deriv()  # d(r N/D)/dr times D^2, in u = r^2
-    limits = []
-    for polynomial in (slope, d):
-        roots = polynomial.trim().roots()
-        limits += [r.real for r in roots if abs(r.imag) < 1e-9 * max(1, abs(r)) and r.real > 0]
-    return float(np.sqrt(min(limits))) if limits else np.inf
+    n, d, power = np.array([1, k1, k2, k3]), np.array([1, k4, k5, k6]), np.arange(4)
+    slope = np.convolve((1 + 2 * power) * n, d) - np.convolve(n, 2 * power * d)  # d(r N/D)/dr times D^2, in u = r^2
+    roots = np.concatenate([np.roots(slope[::-1]), np.roots(d[::-1])])
+    limits = roots.real[(np.abs(roots.imag) < 1e-9 * np.maximum(1, np.abs(roots))) & (roots.real > 0)]
+    return float(np.sqrt(limits.min())) if len(limits) else np.inf
 
 
 def _bend(terms: np.ndarray, x: np.ndarray, y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:

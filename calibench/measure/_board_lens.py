@@ -101,3 +101,11 @@ def best_model(held_out_px2: dict[str, np.ndarray]) -> str:
                 not np.isfinite(old).all() or gain.mean() > CHANCE_SIGMA * gain.std() / np.sqrt(len(gain))):
             best = model
     return best
+
+
+def refused_warning(asked: str | None, held_out_rms_px: dict[str, float]) -> tuple[str, ...]:
+    """What to say of a model that was asked for although its held-out error is larger than another's."""
+    if asked is None or WORTH_A_TERM * held_out_rms_px.get(asked, 0.0) <= min(held_out_rms_px.values(), default=0.0):
+        return ()
+    return (f"{asked} was asked for, but raises the held-out error: " +
+            ", ".join(f"{model} {error:.4f} px" for model, error in held_out_rms_px.items()),)

@@ -89,9 +89,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     _check_observable(solution, classical)
     lens = len(solution.intrinsics.parameter_names)
     intrinsics = dataclasses.replace(solution.intrinsics, covariance=recommended[:lens, :lens])
-    if settings.model and held_out.get(model, 0) > min(held_out.values(), default=0):
-        warnings.append(f"{model} was asked for, but raises the held-out error: " +
-                        ", ".join(f"{m} {e:.4f} px" for m, e in held_out.items()))
+    warnings += board_lens.refused_warning(settings.model, held_out)
     provenance = ledger.provenance()
     return Measurement(
         name="intrinsics", image_size_px=size, intrinsics=intrinsics,

@@ -106,7 +106,7 @@ class Identification:
 
     spot_rows, star_rows: (M,) rows of the Spots and the StarTable; xy_px (M, 2) and covariance_px2 (M, 2, 2) of the matched
     spots; direction_icrs (M, 3) unit vectors of the stars as seen (proper motion, aberration applied).
-    intrinsics: the lens under which they match (fitted where no map gave one).
+    intrinsics: the lens under which they match (fitted where no map gave one). file: the frame, where the caller names it.
     """
 
     status: str
@@ -119,6 +119,7 @@ class Identification:
     direction_icrs: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     false_match_probability: float = 1.0
     intrinsics: Intrinsics | None = None
+    file: str = ""
 
     def __post_init__(self) -> None:
         m = len(self.spot_rows)

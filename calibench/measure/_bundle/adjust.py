@@ -114,6 +114,22 @@ def adjust(lens: Intrinsics, blocks: Sequence[Block], *, lens_fixed: bool = Fals
         state, damping = trial, damping / 10
         if last:
             break
+    return _solution(state)
+
+
+def evaluated(lens: Intrinsics, blocks: Sequence[Block]) -> Solution:
+    """Residuals, information and score at the values given, no step taken.
+
+    Raises:
+        BadInput: a point that counts is not visible.
+    """
+    state = _state(lens, tuple(blocks), lens_fixed=False)
+    if state is None:
+        raise BadInput("a point is out of the lens's sight")
+    return _solution(state)
+
+
+def _solution(state: _State) -> Solution:
     information, score = [], []
     for normal in state.normals:
         reduced, of_score, *_ = normal.reduced(0.0)
