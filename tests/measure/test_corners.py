@@ -94,6 +94,23 @@ def test_the_covariance_knows_the_direction_of_blur():
     assert predicted > 1.3 and seen == pytest.approx(predicted, rel=0.3)
 
 
+def test_large_images_are_refined_in_larger_pixels():
+    small = thesis_camera()
+    lens = small.intrinsics
+    size = (1880, 1200)
+    lens = dataclasses.replace(lens, image_size_px=size, fx_px=2.5 * lens.fx_px, fy_px=2.5 * lens.fy_px,
+                               cx_px=2.5 * lens.cx_px + 0.75, cy_px=2.5 * lens.cy_px + 0.75)
+    camera, board = dataclasses.replace(small, intrinsics=lens), Board(columns=9, rows=6, square_mm=25.0)
+    truth = corner_pixels(camera, board, POSES[0])
+    image = 200 * render_board(camera, board, POSES[0], white_e=1.0) + np.random.default_rng(5).normal(0, 4, size[::-1])
+    for window in (0.1, 0.3, 0.5):  # up to 3 x 3 pixels in one
+        xy, covariance = refine(image, started(truth, by_px=2.0), UV, window)
+        error = xy - truth
+        assert rms(error) < 0.03
+        squares = np.einsum("pi,pij,pj->p", error, np.linalg.inv(covariance), error) / 2
+        assert 0.25 < np.mean(squares) < 1.5  # cautious: edges sharper than a (large) pixel look like noise
+
+
 def test_points_not_seen_stay_so_and_those_lost_are_said():
     image, truth = view()
     rough = truth.copy()

@@ -14,25 +14,27 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import cv2
 import numpy as np
 
 SIGMA_PX = 0.8  # below this a Gaussian sum over pixels depends on where the pixels lie (2 exp(-2 pi^2 sigma^2))
 MARGIN_PX = 4  # of the Gaussian around the lattice
 MOST_ROUNDS = 8
 NEAR_PX = 0.1  # Newton: after a step of this length the next one is 0.001 px
-LEAST_HALF_PX, MOST_HALF_PX = 3.0, 24
+LEAST_HALF_PX = 3.0
+MOST_HALF_PX = 32  # a larger window is seen in larger pixels
 MOST_HALF = 0.5  # of the spacing: beyond stands what belongs to the neighbour
 FARTHEST = 0.25  # of the spacing: a refinement that leaves farther than this has lost its point
 STEP_PX = 1.5
 QUANTISATION_VARIANCE = 1 / 12
 
 
-def refine(grey: np.ndarray, xy_px: np.ndarray, uv: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
+def refine(grey: np.ndarray, xy_px: np.ndarray, places: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
     """Refined points and the covariance that the noise around each of them gives.
 
     Args:
-        grey: (H, W) float image. xy_px: (P, 2) to about a pixel, NaN: not seen. uv: (P, 2) places on the board in spacings of
-            the nearest neighbour. window: half width of the window in the same unit.
+        grey: (H, W) float image. xy_px: (P, 2) to about a pixel, NaN: not seen. places: (P, 2) on the board in spacings
+            of the nearest neighbour. window: half width of the window in the same unit.
 
     Returns:
         xy_px (P, 2), covariance_px2 (P, 2, 2); NaN where not seen or lost. The covariance holds noise of the image; errors of
@@ -40,13 +42,18 @@ def refine(grey: np.ndarray, xy_px: np.ndarray, uv: np.ndarray, window: float) -
     """
     out, covariance = np.full(xy_px.shape, np.nan), np.full((len(xy_px), 2, 2), np.nan)
     seen = np.flatnonzero(np.isfinite(xy_px).all(axis=-1))
-    start, uv = xy_px[seen].astype(float), uv[seen]
+    start, uv = xy_px[seen].astype(float), places[seen]
     centre = start
     axes, bend, _ = _local_map(start, uv)
     spacing = np.linalg.norm(axes, axis=1).min(axis=-1)
     if not (np.abs(np.linalg.det(axes)) > spacing).all():  # the points lie on a line, or their order is confused
         return out, covariance
     half = np.minimum(np.maximum(window, LEAST_HALF_PX / spacing), MOST_HALF)
+    reach = float((half[:, None] * np.abs(axes).sum(axis=-1)).max())
+    if reach > MOST_HALF_PX:
+        by = int(np.ceil(reach / MOST_HALF_PX))
+        xy, covariance = refine(_binned(grey, by), (xy_px - (by - 1) / 2) / by, places, window)
+        return xy * by + (by - 1) / 2, covariance * by**2
     padded = np.pad(grey, MOST_HALF_PX + MARGIN_PX, mode="edge")
     window_at = _window(axes, bend, half)
     for _ in range(MOST_ROUNDS):
@@ -61,6 +68,12 @@ def refine(grey: np.ndarray, xy_px: np.ndarray, uv: np.ndarray, window: float) -
         out[seen[kept]] = centre[kept]
         covariance[seen[kept]] = _covariance(step, *fit)[kept]
     return out, covariance
+
+
+def _binned(grey: np.ndarray, by: int) -> np.ndarray:
+    """(H // by, W // by) means: in large images the edges are longer, and a pixel of the window may be larger."""
+    height, width = (n // by for n in grey.shape)
+    return cv2.resize(grey[:height * by, :width * by].astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
 
 
 def roughness_px(xy_px: np.ndarray, uv: np.ndarray) -> float:
@@ -96,7 +109,7 @@ def _smoothing(places: bytes) -> np.ndarray:
 
 def _window(axes: np.ndarray, bend: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Weights (P, n, n) on a lattice of n pixels, n odd, and how far the bend shifts each sample (2, P, n, n) px."""
-    reach = int(min(np.ceil((half[:, None] * np.abs(axes).sum(axis=-1)).max()), MOST_HALF_PX))
+    reach = int(min(np.ceil((half[:, None] * np.abs(axes).sum(axis=-1)).max()), MOST_HALF_PX))  # axes change a little
     d = np.arange(-reach, reach + 1, dtype=np.float32)
     lattice = np.stack(np.meshgrid(d, d)).reshape(2, -1)
     u, v = np.moveaxis(np.linalg.inv(axes).astype(np.float32) @ lattice, 1, 0)
