@@ -26,6 +26,10 @@ class UsageError(CalibenchError):
     exit_code = 2
 
 
+class Contradiction(BadInput):
+    """Two statements about one thing exclude each other. Never passed over: only the user knows which is true."""
+
+
 class SeveralProblems(BadInput):
     """All mistakes of one input at once, each with its path inside the input."""
 

@@ -54,6 +54,7 @@ def assemble(measurements: Sequence[Measurement], base: CalibrationMap | None = 
         raise BadInput("there is nothing to put into a map", mend="hand in at least one measurement")
 
     layers, warnings = _layers(measurements, base)
+    warnings = [*warnings, *_made_too_early(measurements, base)]
     return CalibrationMap(
         image_size_px=size, measured=frozenset(layers), **layers,
         camera=merge_cameras(base.camera if base else UNNAMED, camera),
@@ -70,6 +71,15 @@ def assemble(measurements: Sequence[Measurement], base: CalibrationMap | None = 
         + tuple(f"{m.name}: {w}" for m in measurements for w in m.warnings) + tuple(warnings),
         protocol_sha256=protocol_sha256 or (base.protocol_sha256 if base else ""),
         software=software, created=created)
+
+
+def _made_too_early(measurements: Sequence[Measurement], base: CalibrationMap | None) -> list[str]:
+    """Figures of the base that a gain measured now could have turned into electrons."""
+    early = base is not None and "dark.read_noise_e" in base.quantities and base.quantities["dark.read_noise_e"].value is None
+    if early and any("gain_dn_per_e" in m.layers for m in measurements) and all(m.name != "dark" for m in measurements):
+        return ["dark: its figures in e- and its limit of hot pixels were made before the gain was known: "
+                "run dark again with this map"]
+    return []
 
 
 def without_layer(calmap: CalibrationMap, layer: str) -> CalibrationMap:

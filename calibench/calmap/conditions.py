@@ -84,6 +84,9 @@ def outside_conditions(frame: Frame, calmap: CalibrationMap) -> tuple[str, ...]:
                 sentences.append(f"{what} {value:g} {unit} is outside the map's {span[0]:g} to {span[1]:g} {unit}")
     if None not in (frame.gain_setting, conditions.gain_setting) and frame.gain_setting != conditions.gain_setting:
         sentences.append(f"gain setting {frame.gain_setting:g} is not the map's {conditions.gain_setting:g}")
+    depth = conditions.bit_depth
+    if depth is not None and not frame.range_assumed and frame.bit_depth != depth:
+        sentences.append(f"{frame.bit_depth} bits a pixel are not the map's {depth}: its DN are of another size")
     known_as = _known_as(calmap)
     if frame.camera and known_as and frame.camera.strip().casefold() not in map(str.casefold, known_as):
         sentences.append(f"camera '{frame.camera}' is not the map's: {', '.join(known_as)}")
@@ -93,6 +96,8 @@ def outside_conditions(frame: Frame, calmap: CalibrationMap) -> tuple[str, ...]:
 def unchecked_conditions(frame: Frame, calmap: CalibrationMap) -> tuple[str, ...]:
     """One sentence for each condition that could not be compared, because the frame or the map does not state it."""
     conditions, sentences = calmap.conditions, []
+    if not calmap.measured:
+        return ()
     if not frame.camera or not _known_as(calmap):
         silent = "the map" if frame.camera else "the frame"
         sentences.append(f"{silent} does not say which camera it belongs to: the identity was not checked")

@@ -52,7 +52,10 @@ def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
 
     responds = calmap.response > 0
     response = np.where(responds, calmap.response, np.float32(1))
-    saturated = frame.data >= min(frame.white_level_dn, calmap.saturation_dn)
+    white_dn = frame.white_level_dn
+    if frame.range_assumed and calmap.conditions.bit_depth is not None:
+        white_dn = min(white_dn, 2.0**calmap.conditions.bit_depth - 1)
+    saturated = frame.data >= min(white_dn, calmap.saturation_dn)
     defects = calmap.defects | saturated * np.uint16(DEFECT_FLAGS["saturated"])
     defects |= ~responds * np.uint16(DEFECT_FLAGS["dead"])
 

@@ -54,24 +54,32 @@ def apply(map_: MapArgument,
           json_: Json = False) -> None:
     """Correct frames: signal, variance and defect mask as three extensions of a FITS file."""
     from ..calmap.correct import correct, interpolate_defects, outside_conditions
+    from ..io.atomic import make_folder
     from ..io.corrected_writer import write_corrected
     from ..io.frames import find_frames, read_frame
     from ..io.map_file import read_map
     calmap, written = read_map(map_), []
     paths = find_frames(frames)
+    targets = {path: out / f"{path.stem}.corrected.fits" for path in paths}
+    if len(set(targets.values())) < len(paths):
+        raise BadInput("two of the frames have the same name and would overwrite each other", file=out,
+                       mend="apply the map folder by folder, each into an --out of its own")
     with progress() as tell:
-        for i, path in enumerate(paths):
+        for path in paths:  # all are judged before the first is written
             frame = read_frame(path)
             outside = outside_conditions(frame, calmap)
             if outside and not force:
                 raise BadInput("the map does not hold for this frame: " + "; ".join(outside), file=path,
                                mend="use a map made under these conditions, or --force")
+            correct(frame, calmap)
+        make_folder(out)
+        for i, path in enumerate(paths):
+            frame = read_frame(path)
+            outside = outside_conditions(frame, calmap)
             corrected = correct(frame, calmap)
             signal = interpolate_defects(corrected.signal_dn, corrected.defects) if interpolate else corrected.signal_dn
-            target = out / f"{path.stem}.corrected.fits"
-            out.mkdir(parents=True, exist_ok=True)
-            write_corrected(target, corrected, signal, frame)
-            written.append({"file": str(path), "out": str(target), "warnings": [*outside, *corrected.warnings]})
+            write_corrected(targets[path], corrected, signal, frame)
+            written.append({"file": str(path), "out": str(targets[path]), "warnings": [*outside, *corrected.warnings]})
             tell("apply", i + 1, len(paths))
     if json_:
         print_json({"frames": written})

@@ -32,7 +32,7 @@ def new(folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new sessio
         raise BadInput("there is a session in this folder already", file=folder / SESSION_FILE, mend="name a new folder")
     shots = load_protocol(source)[0].shot
     for shot in shots:
-        (folder / shot.folder).mkdir(parents=True, exist_ok=True)
+        atomic.make_folder(folder / shot.folder)
     atomic.write_bytes(folder / SESSION_FILE, source.read_bytes())
     if json_:
         print_json({"session": str(folder), "protocol": protocol, "folders": [shot.folder for shot in shots]})

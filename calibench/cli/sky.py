@@ -19,7 +19,7 @@ KSigma = Annotated[float, typer.Option(help="Detection threshold in sigma of the
 
 
 def solve(frames: Frames, map_: Map = None,
-          fov_deg: Annotated[float | None, typer.Option(help="Horizontal field, degrees, about; for a lens without a map.",
+          fov_deg: Annotated[float | None, typer.Option(help="Horizontal field, degrees, to 10 %; without a map.",
                                                         min=0.5, max=120)] = None,
           identify: Identify = "pattern", attitude: AttitudeName = "quest", detector: Detector = "components",
           centroid: Centroid = "gaussian", k_sigma: KSigma = 5.0, json_: Json = False) -> None:
@@ -39,10 +39,11 @@ def solve(frames: Frames, map_: Map = None,
         say("the map's lens is used; --fov-deg is not needed and was not used")
     sky, out = Sky(method=identify), []
     with progress() as tell:
+        named = frozenset(path for path in paths if path in frames)
+        stars = sky.table
         for i, solved in enumerate(solve_files(paths, sky, calmap, fov_rad=math.radians(fov_deg) if fov_deg else None,
-                                               settings=settings)):
+                                               settings=settings, named=named)):
             tell("solve", i + 1, len(paths))
-            stars = sky.finder(solved.frame.date_obs).sky.table
             out.append(solved_json(solved, calmap, (stars.hip, stars.hp_mag)))
     if json_:
         print_json({"frames": out, "map": str(map_) if map_ else None, "identify": identify, "attitude": attitude})
@@ -103,7 +104,8 @@ def validate(frames: Frames,
              for frame in (read_frame(path, "light") for path in find_frames(frames))]
     if truth and any(case.truth is None for case in cases):
         lacking = [case.frame.name for case in cases if case.truth is None]
-        raise BadInput(f"no truth is given for {', '.join(lacking)}", file=truth, mend="leave these frames out, or --truth")
+        raise BadInput(f"no truth is given for {', '.join(lacking)}", file=truth,
+                       mend="give the truth.toml that was rendered with them, leave them out, or leave out --truth")
     with progress() as tell:
         count = iter(range(1, 10**9))
         found, _ = module.trial(cases, calmap, lambda case: sky.finder(case.frame.date_obs), settings,

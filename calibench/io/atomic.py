@@ -38,6 +38,19 @@ def write_bytes(path: Path | str, content: bytes) -> None:
                        ) from error
 
 
+def make_folder(path: Path | str) -> None:
+    """Make a folder and those above it.
+
+    Raises:
+        BadInput: it cannot be made, or a file of that name is in the way.
+    """
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"this folder cannot be made: {error.strerror or error}", file=path,
+                       mend="name a folder that can be written to") from error
+
+
 def _write_and_sync(path: Path, content: bytes) -> None:
     with open(path, "xb") as handle:
         handle.write(content)

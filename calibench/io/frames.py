@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import registry
-from ..errors import BadInput
+from ..errors import BadInput, Contradiction
 from ..records import Frame
 from .alignment import right_aligned
 from .metadata import FrameMetadata, merge
@@ -126,7 +126,7 @@ def _settled_values(reading: Reading, known: FrameMetadata, path: Path) -> dict[
     elif data.dtype == np.uint8 and depth is None:
         depth, lossy, notes = 8, True, (*notes, "8-bit file: steps of a finer converter may be lost")
     elif data.dtype == np.uint8 and depth > 8:
-        raise BadInput(f"holds 8 bits a pixel, but {depth} bits are stated", file=path,
+        raise Contradiction(f"holds 8 bits a pixel, but {depth} bits are stated", file=path,
                        mend="correct bit_depth, or give the frame as a 16-bit file")
     elif depth is None:
         depth, notes = 16, (*notes, "float data: a white level of 16 bits is assumed unless bit_depth is stated")
@@ -134,7 +134,9 @@ def _settled_values(reading: Reading, known: FrameMetadata, path: Path) -> dict[
     if white_dn > 2**depth and data.dtype != np.float32:
         raise BadInput(f"the stated white level {white_dn:g} DN does not fit {depth}-bit values", file=path,
                        mend="state bit_depth and white_level_dn (right-aligned) in a sidecar")
-    return {"data": data, "bit_depth": depth, "white_level_dn": white_dn, "notes": notes, "lossy": lossy}
+    assumed = known.bit_depth is None and known.white_level_dn is None and depth == 16
+    return {"data": data, "bit_depth": depth, "white_level_dn": white_dn, "notes": notes, "lossy": lossy,
+            "range_assumed": assumed}
 
 
 def _claimed(path: Path) -> bool:

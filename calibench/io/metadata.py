@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 
-from ..errors import SeveralProblems
+from ..errors import Contradiction
 
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 # Two sources agree within this: exposures are rounded in headers (1/30 s as 0.0333), temperatures to a tenth.
@@ -42,7 +42,7 @@ def merge(sources: Sequence[tuple[str, FrameMetadata]], *, file: object) -> Fram
     """One FrameMetadata of several named sources, each field from whichever source says it.
 
     Raises:
-        SeveralProblems: sources contradict each other; every contradiction is listed with both names and values.
+        Contradiction: sources contradict each other; every contradiction is listed with both names and values.
     """
     merged: dict[str, object] = {}
     said_by: dict[str, str] = {}
@@ -57,7 +57,9 @@ def merge(sources: Sequence[tuple[str, FrameMetadata]], *, file: object) -> Fram
             elif not _agree(field.name, merged[field.name], value):
                 conflicts.append((field.name, f"{said_by[field.name]} says {merged[field.name]}, {source} says {value}"))
     if conflicts:
-        raise SeveralProblems(conflicts, file=file, mend="correct or remove the wrong statement; none of them is preferred")
+        lines = "".join(f"\n  {name}: {what}" for name, what in conflicts)
+        raise Contradiction(f"statements about this frame contradict each other:{lines}", file=file,
+                            mend="correct or remove the wrong statement; none of them is preferred")
     return FrameMetadata(**merged)
 
 

@@ -24,6 +24,7 @@ RISE_MIN = 0.1
 SATURATED = 0.95
 # From this many frames on, one odd frame is no sign of an automatic: the measurement rejects it by its name.
 FRAMES_FOR_ONE_ODD = 5
+SMALLEST_DEPTH = 8
 
 
 def check_series(frames: Sequence[Frame]) -> list[Frame]:
@@ -32,7 +33,7 @@ def check_series(frames: Sequence[Frame]) -> list[Frame]:
     Raises:
         BadInput: mixed settings (`require_alike`) or an automatic at work (`refuse_automatic`).
     """
-    frames = _aligned_alike(frames)
+    frames = _with_range_seen(_aligned_alike(frames))
     require_alike(frames)
     refuse_automatic(frames)
     return _duplicates_noted(frames)
@@ -143,6 +144,24 @@ def _noise_dn(frame: Frame) -> float:
     """Robust scatter of the pixels (1.4826 MAD), at least one step of the converter."""
     sample = frame.data[::4, ::4].astype(np.float32)
     return max(1.0, 1.4826 * float(np.median(np.abs(sample - np.median(sample)))))
+
+
+def _with_range_seen(frames: Sequence[Frame]) -> list[Frame]:
+    """Where no source states the converter's bits and light is among the frames, its range is what the brightest value needs.
+
+    Darks alone never come near the end of the range: they keep the guess, and are judged without it.
+    """
+    if not frames or not all(frame.range_assumed for frame in frames) or all(frame.kind == "dark" for frame in frames):
+        return list(frames)
+    largest = int(max(frame.data.max() for frame in frames))
+    depth = max(SMALLEST_DEPTH, 2 * -(-largest.bit_length() // 2))  # converters have an even number of bits
+    note = f"{depth} bits assumed: the largest value of the series is {largest}; state bit_depth in a sidecar to be sure"
+    return [dataclasses.replace(frame, bit_depth=depth, white_level_dn=2.0**depth - 1, notes=(*_without_guess(frame), note))
+            for frame in frames]
+
+
+def _without_guess(frame: Frame) -> tuple[str, ...]:
+    return tuple(note for note in frame.notes if "bits assumed" not in note)
 
 
 def _aligned_alike(frames: Sequence[Frame]) -> list[Frame]:

@@ -8,45 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from ..errors import BadInput
-from ..records import Frame
-from ._defects import BLOCK_PX, core_sigma
+from ._defects import core_sigma
 from ._stack import Accumulator, Series
 
-MAX_DARK_LEVEL = 0.5  # of the range: beyond it no dark
-MAX_SATURATED = 0.01
-MAX_STRUCTURE = 0.05  # of the range between dim and bright blocks; amplifier glow stays below
 MAX_EXPOSURE_S = 86400.0
 MAX_RATE_E_PER_S = 1e5
 MIN_TIME_TO_FILL_S = 0.1
 QUANTISATION_DN2 = 1 / 12  # variance of rounding to whole DN (EMVA 1288)
-
-
-def check_dark(frame: Frame) -> None:
-    """Does a frame that claims to be dark look dark?
-
-    Raises:
-        BadInput: it says that it is something else, is bright, saturated, or shows a scene or light fall-off.
-    """
-    mend = "cap the lens, close the room; were the folders of darks and flats swapped?"
-    file = frame.file or None
-    if frame.kind in ("flat", "light"):
-        raise BadInput(f"this frame says that it is a {frame.kind} frame, not a dark", file=file, mend=mend)
-    white, level = frame.white_level_dn, float(np.median(frame.data))
-    saturated = float(np.mean(frame.data >= white))
-    if level > MAX_DARK_LEVEL * white:
-        raise BadInput(f"no dark frame: its level is {level:.0f} DN of {white:.0f}", file=file, mend=mend)
-    if saturated > MAX_SATURATED:
-        raise BadInput(f"no dark frame: {100 * saturated:.1f} % of the pixels are saturated", file=file, mend=mend)
-    w, h = (max(1, round(n / BLOCK_PX)) for n in frame.image_size_px)
-    blocks = cv2.resize(frame.data.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA)
-    low, high = np.percentile(blocks, (2, 98))
-    if high - low > MAX_STRUCTURE * white:
-        raise BadInput(f"no dark frame: its level runs from {low:.0f} to {high:.0f} DN over the image, light comes in",
-                       file=file, mend=mend)
 
 
 @dataclass(frozen=True, kw_only=True)

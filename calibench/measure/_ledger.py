@@ -86,6 +86,6 @@ class Ledger:
             return (min(self._said[name]), max(self._said[name])) if self._said[name] else None
         cameras = self._said["camera"]
         conditions = {name: span(name) for name in ("exposure_s", "temperature_c", "date_obs")}
-        conditions |= {"gain_setting": self.first.gain_setting, "bit_depth": self.first.bit_depth,
-                       "camera": ", ".join(sorted(cameras)) or None}
+        depth = None if self.first.range_assumed else self.first.bit_depth
+        conditions |= {"gain_setting": self.first.gain_setting, "bit_depth": depth, "camera": ", ".join(sorted(cameras)) or None}
         return Provenance(inputs=self.inputs, settings=dataclasses.asdict(self._settings), conditions=conditions)

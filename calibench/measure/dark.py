@@ -17,8 +17,9 @@ import numpy as np
 from ..records import CalibrationMap, Frame, Measurement, Quantity
 from . import _defects as defect
 from . import _nonuniformity as spatial
+from ._darkness import check_dark
 from ._gain import known_gain
-from ._ladder import QUANTISATION_DN2, Ladder, check_dark, fit
+from ._ladder import QUANTISATION_DN2, Ladder, fit
 from ._ledger import Ledger
 from ._stack import Accumulator, Series
 

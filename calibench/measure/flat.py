@@ -16,9 +16,10 @@ import numpy as np
 from ..errors import BadInput
 from ..records import CalibrationMap, Frame, Measurement, Quantity
 from . import _nonuniformity as spatial
+from ._darkness import check_dark
 from ._defects import flags, planes
 from ._illumination import illumination
-from ._ladder import Ladder, check_dark, fit
+from ._ladder import Ladder, fit
 from ._ledger import Ledger
 from ._stack import Accumulator, Series
 from ._transfer import MAX_FILL, TransferPoint, gain
@@ -58,6 +59,11 @@ class Level:
         return self.series.stack.mean_dn - self.dark_dn
 
 
+NEED_A_LADDER = tuple(Quantity(name=name, value=None, unit=unit, source="EMVA 1288 release 4", reason=(
+    "needs a photon transfer series from dark to saturation, not flats of one level")) for name, unit in (
+        ("saturation_e", "e-"), ("dynamic_range_db", "dB"), ("snr_max", "1"), ("linearity_error_percent", "%")))
+
+
 def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: CalibrationMap | None = None) -> Measurement:
     """Response, illumination, defects and gain.
 
@@ -69,7 +75,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     """
     settings = settings or Settings()
     ledger = Ledger(settings, "flat frames")
-    flats, darks = _collect(frames, ledger)
+    flats, darks, files = _collect(frames, ledger)
     first = ledger.first
     ladder = fit(darks, first.white_level_dn, np.nan) if darks else None
     if not flats:
@@ -79,6 +85,9 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     if not usable:
         raise BadInput("; ".join(dict.fromkeys(_verdict(v, first, settings) for v in levels)),
                        mend="were the folders of darks and flats swapped? else take flats of the exposure named above")
+    for level, (_, stack) in zip(levels, flats, strict=True):
+        if reason := _verdict(level, first, settings):
+            ledger.rejected += [(file, reason) for file in files[id(stack)]]
     best = _best(usable, first)
 
     smooth = illumination(best.signal_dn, first.bayer_pattern)
@@ -98,7 +107,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
               "defects": flags((h, w), dead=dead, cold=cold)},
         quantities=(*gain_quantities, *_prnu(best, first.bayer_pattern), Quantity(
             name="illumination_fall_off_percent", value=float(100 * (1 - smooth.min())), unit="%",
-            source="smooth part of the flat, darkest against brightest; lamp and lens together")),
+            source="smooth part of the flat, darkest against brightest; lamp and lens together"), *NEED_A_LADDER),
         evidence={"transfer_signal_dn": np.array([p.signal_dn for p in points]),
                   "transfer_variance_dn2": np.array([p.variance_dn2 for p in points]),
                   "transfer_variance_uncertainty_dn2": np.array([p.variance_uncertainty_dn2 for p in points]),
@@ -111,8 +120,9 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         frames_rejected=tuple(ledger.rejected))
 
 
-def _collect(frames: Iterable[Frame], ledger: Ledger) -> tuple[list[tuple], dict]:
-    """Flat stacks as (exposure, stack) by exposure and light level, and dark stacks by exposure."""
+def _collect(frames: Iterable[Frame], ledger: Ledger) -> tuple[list[tuple], dict, dict[int, list[str]]]:
+    """Flat stacks as (exposure, stack) by exposure and light level, dark stacks by exposure, files by id of flat stack."""
+    files: dict[int, list[str]] = {}
     flats: list[tuple[float | None, Accumulator]] = []
     darks: dict[float | None, Accumulator] = {}
     for frame in frames:
@@ -129,10 +139,11 @@ def _collect(frames: Iterable[Frame], ledger: Ledger) -> tuple[list[tuple], dict
             stack = Accumulator()
             flats.append((frame.exposure_s, stack))
         stack.add(frame)
+        files.setdefault(id(stack), []).append(frame.file or frame.name)
     ledger.first  # noqa: B018  raises where there was no frame at all
     if len(darks) > 1:
         darks.pop(None, None)
-    return flats, darks
+    return flats, darks, files
 
 
 def _level(exposure_s: float | None, stack: Accumulator, ladder: Ladder | None, calmap: CalibrationMap | None,

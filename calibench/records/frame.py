@@ -19,7 +19,9 @@ class Frame:
     data: (H, W), unsigned integers or float32, DN, right-aligned (left-aligned data are shifted by the reader).
     bit_depth: significant bits of the converter; saturation is `white_level_dn`.
     gain_setting: the camera's setting, never e-/DN; egain_e_per_dn: e- per DN where a header states it.
-    date_obs: ISO 8601, UTC. lossy: the file went through 8-bit or JPEG. notes: what the reader had to assume.
+    date_obs: ISO 8601, UTC. lossy: the file went through 8-bit or JPEG.
+    range_assumed: no source states the converter's bits; bit_depth and white_level_dn are guesses. notes: what the reader
+    had to assume.
     """
 
     data: np.ndarray
@@ -36,6 +38,7 @@ class Frame:
     date_obs: str | None = None
     camera: str | None = None
     lossy: bool = False
+    range_assumed: bool = False
     file: str = ""
     sha256: str = ""
     notes: tuple[str, ...] = ()

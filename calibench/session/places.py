@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import BadInput
+from ..errors import BadInput, UsageError
 
 ROOT = Path(__file__).resolve().parents[2]
 SESSION_FILE = "session.toml"
@@ -20,11 +20,11 @@ def protocol_file(name: str) -> Path:
     """The file of a named protocol.
 
     Raises:
-        BadInput: no such protocol, or an installation without them.
+        UsageError: no such protocol, or an installation without them.
     """
     known = protocols()
     if name not in known:
-        raise BadInput(f"there is no protocol '{name}'", mend=f"known protocols: {', '.join(known) or 'none on this machine'}")
+        raise UsageError(f"there is no protocol '{name}'", mend=f"known: {', '.join(known) or 'none on this machine'}")
     return known[name]
 
 

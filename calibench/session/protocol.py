@@ -155,6 +155,15 @@ def load_protocol(path: Path) -> tuple[Protocol, str]:
     return protocol, hashlib.sha256(raw).hexdigest()
 
 
+def _like(default: object, value: object) -> bool:
+    """Whether a TOML value can stand for a setting with this default."""
+    if isinstance(default, tuple):
+        return isinstance(value, list) and len(value) == len(default) and all(map(_like, default, value))
+    if isinstance(default, float):
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    return default is None or isinstance(value, type(default))
+
+
 def _place(where: tuple) -> str:
     return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in where).lstrip(".") or "(file)"
 
@@ -185,6 +194,8 @@ def _cross_check(protocol: Protocol) -> list[tuple[str, str]]:
         fields = registry.load("calibench.measure", name).Settings.__dataclass_fields__
         problems += [(f"measure.{name}.{key}", f"is no setting; known: {', '.join(fields)}")
                      for key in settings if key not in fields]
+        problems += [(f"measure.{name}.{key}", f"should be like {fields[key].default!r}, not {value!r}")
+                     for key, value in settings.items() if key in fields and not _like(fields[key].default, value)]
     problems += [(f"limit[{i}].measurement", f"no shot is measured by '{limit.measurement}'")
                  for i, limit in enumerate(protocol.limit) if limit.measurement not in measured]
     return problems

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ..errors import BadInput
+from ..errors import BadInput, Contradiction
 from ..io.frames import read_frame
 from ..io.series_checks import check_series
 from ..records import Frame
@@ -22,7 +22,8 @@ def read_arguments(arguments: Sequence[Path], paths: Sequence[Path], kind: str, 
     for that does not say; darks may stand among flats.
 
     Raises:
-        BadInput: a named frame cannot be used, nothing is left, or the frames do not belong together.
+        Contradiction: sources exclude each other. BadInput: a named frame cannot be used, nothing is left, or the frames do
+            not belong together.
     """
     named = {path.resolve() for path in arguments if not path.is_dir()}
     frames, rejected = [], []
@@ -34,7 +35,7 @@ def read_arguments(arguments: Sequence[Path], paths: Sequence[Path], kind: str, 
                 raise BadInput(SWAPPED.format(stated=frame.kind), file=path, mend="correct the frame's kind, or leave it out")
             frames.append(frame)
         except BadInput as fault:
-            if path.resolve() in named:
+            if path.resolve() in named or isinstance(fault, Contradiction):
                 raise
             rejected.append((str(path), fault.what))
     if not frames:

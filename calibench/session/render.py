@@ -42,7 +42,7 @@ def render(folder: Path, *, plan_name: str = "sample", seed: int = 1) -> Iterato
     truth = camera_truth(camera) | {"simulate": {"plan": plan_name, "seed": seed}, "frames": {}}
     for rendered in render_session(camera, load_star_table(), plan, seed=seed, observer_at=observer_at):
         frame, path = rendered.frame, folder / rendered.path
-        path.parent.mkdir(parents=True, exist_ok=True)
+        atomic.make_folder(path.parent)
         write_frame(path, frame.data, kind=frame.kind, exposure_s=frame.exposure_s, gain_setting=frame.gain_setting,
                     temperature_c=frame.temperature_c, bit_depth=frame.bit_depth, date_obs=frame.date_obs, camera=frame.camera,
                     pixel_size_um=frame.pixel_size_um)

@@ -57,22 +57,25 @@ def solved_json(solved: SolvedFrame, calmap: CalibrationMap | None, stars: tuple
     out["stars"] = [{"x_px": float(x), "y_px": float(y), "hip": int(hip[row]), "magnitude": round(float(magnitude[row]), 3)}
                     for (x, y), row in zip(found.xy_px, found.star_rows, strict=True)]
     flags = {name: int(np.count_nonzero(solution.spots.flags & bit)) for name, bit in SPOT_FLAGS.items()}
-    return out | {"map_outside_conditions": bool(solved.outside), "warnings": list(solved.outside), "spot_flags": flags,
-                  "frame_notes": list(solved.frame.notes), "lens_from": "map" if calmap and "intrinsics" in calmap.measured
-                  else "fitted to this frame", "timings_ms": {k: round(1e3 * v, 3) for k, v in solution.timings_s.items()}}
+    lens_known = calmap is not None and "intrinsics" in calmap.measured
+    return out | {"map_outside_conditions": bool(solved.outside), "warnings": [*solved.outside, *solved.warnings],
+                  "spot_flags": flags, "frame_notes": list(solved.frame.notes) if solved.frame else [],
+                  "lens_from": "map" if lens_known else "fitted to this frame",
+                  "timings_ms": {k: round(1e3 * v, 3) for k, v in solution.timings_s.items()}}
 
 
 def pointing_json(solution: Solution) -> dict:
     """Attitude, pointing and errors of a solution; null where there is none."""
     good = solution.status == "solved"
     lens = solution.identification.intrinsics
-    residual = solution.attitude.residual_px
+    residual, bias = solution.attitude.residual_px, solution.systematic_covariance_rad2
     rms_px = float(np.sqrt(np.mean((residual**2).sum(1)))) if good else None
     values = {"ra_deg": solution.ra_rad * DEGREE, "dec_deg": solution.dec_rad * DEGREE,
               "roll_deg": solution.roll_rad * DEGREE % 360, "fov_deg": solution.fov_rad * DEGREE,
               "sigma_cross_arcsec": solution.sigma_cross_rad * ARCSEC, "sigma_roll_arcsec": solution.sigma_roll_rad * ARCSEC,
               "sigma_systematic_cross_arcsec": solution.systematic_centre_rad * ARCSEC,
-              "sigma_systematic_roll_arcsec": float(np.sqrt(solution.systematic_covariance_rad2[2, 2])) * ARCSEC}
+              "sigma_systematic_boresight_arcsec": float(np.sqrt(np.trace(bias[:2, :2]) / 2)) * ARCSEC,
+              "sigma_systematic_roll_arcsec": float(np.sqrt(bias[2, 2])) * ARCSEC}
     return {k: finite(v) for k, v in values.items()} | {
         "mirrored": lens.mirrored if good else None,
         "q_cam_icrs": solution.attitude.q_cam_icrs.tolist() if good else None,

@@ -93,7 +93,7 @@ def run_session(session: Path, out: Path, tell: Tell = lambda stage, done, total
     ok = all(v.status != "fail" for v in verdicts) and all(s.calibrated.status == "solved" for s in sky_stories)
     tell("write report", 0, 1)
     page = build_report(story)
-    out.mkdir(parents=True, exist_ok=True)
+    atomic.make_folder(out)
     result = SessionResult(map_path=out / "calibration.fits", results_path=out / "results.json",
                            report_path=out / "report.html", story=story, ok=ok)
     write_map(result.map_path, calmap)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import BadInput
+from ..errors import BadInput, Contradiction
 from ..io.frames import find_frames, read_frame
 from ..io.series_checks import check_series
 from ..records import Frame
@@ -56,6 +56,8 @@ def read_shot(session: Path, shot: Shot) -> tuple[list[Frame], list[tuple[str, s
     for path in shot_files(session, shot):
         try:
             frame = read_frame(path, shot.kind)
+        except Contradiction:
+            raise
         except BadInput as fault:
             rejected.append((path.name, fault.what))
             continue

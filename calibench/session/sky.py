@@ -10,10 +10,11 @@ from time import perf_counter
 import numpy as np
 
 from ..calmap.correct import correct, outside_conditions
+from ..errors import BadInput, Contradiction
 from ..io.frames import read_frame
 from ..io.observer import observer_at
 from ..io.star_table import load_star_table
-from ..records import CalibrationMap, Frame, Observer, StarTable
+from ..records import Attitude, CalibrationMap, Frame, Identification, Observer, Spots, StarTable
 from ..stars.lost_in_space import LostInSpace
 from ..stars.sky_catalogue import SkyCatalogue
 from ..stars.solve import Solution, Solver
@@ -41,28 +42,53 @@ class Sky:
         return self.finders[day]
 
 
+def _unread(path: Path, fault: BadInput, method: str) -> SolvedFrame:
+    nothing = np.zeros(0)
+    spots = Spots(xy_px=np.zeros((0, 2)), covariance_px2=np.zeros((0, 2, 2)), flux_e=nothing, background_dn=nothing,
+                  peak_dn=nothing, pixels=nothing, flags=nothing)
+    reason = f"cannot be read: {fault.what}"
+    attitude = Attitude(status="rejected", method=method, q_cam_icrs=np.array([0.0, 0.0, 0.0, 1.0]),
+                        covariance_rad2=np.full((3, 3), np.inf), reason=reason)
+    found = Identification(status="rejected", method=method, reason=reason)
+    stages = ("read", "correct", "detect", "identify", "attitude")
+    solution = Solution(file=str(path), spots=spots, identification=found, attitude=attitude,
+                        timings_s=dict.fromkeys(stages, 0.0))
+    return SolvedFrame(frame=None, solution=solution)
+
+
 @dataclass(frozen=True, kw_only=True)
 class SolvedFrame:
-    """A frame with its solution; outside: the map's conditions that it does not meet."""
+    """A frame (None: it could not be read) with its solution; outside: the map's conditions that it does not meet; warnings:
+    what else a user should know."""
 
-    frame: Frame
+    frame: Frame | None
     solution: Solution
-    outside: tuple[str, ...]
+    outside: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def solve_files(paths: Iterable[Path], sky: Sky, calmap: CalibrationMap | None, *, fov_rad: float | None = None,
-                settings: dict | None = None) -> Iterator[SolvedFrame]:
+                settings: dict | None = None, named: frozenset[Path] | None = None) -> Iterator[SolvedFrame]:
     """Read, correct and solve frames one after the other.
 
-    settings: keyword arguments of Solver. fov_rad: horizontal field where the map has no lens.
+    settings: keyword arguments of Solver. fov_rad: horizontal field where the map has no lens. named: the frames that were
+    named outright (default: all); another that cannot be read is given back as rejected, with the reason.
 
     Raises:
-        BadInput: a frame cannot be read, or has another size than the map.
+        BadInput: a named frame cannot be read, a frame's sources contradict each other, or it has another size than the map.
     """
     familiar: dict = {}
     for path in paths:
         clock = [perf_counter()]
-        frame = read_frame(path, "light")
+        try:
+            frame = read_frame(path, "light")
+        except Contradiction:
+            raise
+        except BadInput as fault:
+            if named is None or path in named:
+                raise
+            yield _unread(path, fault, sky.method)
+            continue
         clock.append(perf_counter())
         layers = calmap or CalibrationMap(image_size_px=frame.image_size_px)
         corrected = correct(frame, layers)
@@ -72,4 +98,5 @@ def solve_files(paths: Iterable[Path], sky: Sky, calmap: CalibrationMap | None, 
         solution = solver.solve(corrected, lens_of(layers, fov_rad))
         read, corrected_s = np.diff(clock).tolist()
         timings = {"read": read, "correct": corrected_s} | solution.timings_s
-        yield SolvedFrame(frame=frame, solution=replace(solution, timings_s=timings), outside=outside)
+        yield SolvedFrame(frame=frame, solution=replace(solution, timings_s=timings), outside=outside,
+                          warnings=corrected.warnings)

@@ -8,13 +8,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 
 import numpy as np
 
 from .. import registry
-from ..records import Identification, Intrinsics, Spots
+from ..records import DISTORTION_NAMES, Identification, Intrinsics, Spots
 from .hypotheses import fit_hypotheses, supported
 from .sky_catalogue import SkyCatalogue
 from .verify import Match, verify
@@ -46,6 +46,18 @@ def fov_ladder(image_size_px: tuple[int, int]) -> list[tuple[float, float]]:
         rungs.append((image_size_px[0] / 2 / middle, float(slack)))
         edge = upper
     return rungs
+
+
+def flipped(lens: Intrinsics) -> Intrinsics:
+    """The same lens for images whose columns were reversed (x -> W - 1 - x): the tangential term p2 changes its sign."""
+    distortion = lens.distortion.copy()
+    covariance = lens.covariance.copy()
+    odd = [2] + [4 + i for i, name in enumerate(DISTORTION_NAMES[lens.model]) if name == "p2"]
+    distortion[[i - 4 for i in odd[1:]]] *= -1
+    covariance[odd] *= -1
+    covariance[:, odd] *= -1
+    return replace(lens, cx_px=lens.image_size_px[0] - 1 - lens.cx_px, distortion=distortion, covariance=covariance,
+                   mirrored=not lens.mirrored)
 
 
 @dataclass
@@ -84,6 +96,7 @@ class LostInSpace:
                familiar: Intrinsics | None) -> Iterator[View]:
         if lens is not None:
             yield calibrated_view(spots, lens)
+            yield calibrated_view(spots, flipped(lens))  # the driver, or a wrong row order, may have mirrored the frame
             return
         if familiar is not None:
             yield guessed_view(spots, size, familiar.fx_px, GIVEN_FOV_SLACK)
