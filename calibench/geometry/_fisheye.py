@@ -38,11 +38,12 @@ def _radius(terms: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return h(t), h.deriv()(t)
 
 
-def bend(terms: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, *, jacobian: bool) -> tuple:
+def bend(terms: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, *, jacobian: bool, past_fold: bool) -> tuple:
     """As `_rational.bend`."""
     r = np.hypot(x, y)
     t = np.arctan2(r, z)
-    t = np.where(t < fold_angle(tuple(np.asarray(terms).tolist())), t, np.nan)
+    if not past_fold:
+        t = np.where(t < fold_angle(tuple(np.asarray(terms).tolist())), t, np.nan)
     h, slope = _radius(terms, t)
     on_axis = r < NEAR_AXIS * np.abs(z)
     safe = np.where(on_axis, 1.0, r)

@@ -29,9 +29,16 @@ def fold_radius(terms: tuple[float, ...]) -> float:
     k1, k2, _, _, k3, k4, k5, k6 = _padded(terms)[:8]
     n, d, power = np.array([1, k1, k2, k3]), np.array([1, k4, k5, k6]), np.arange(4)
     slope = np.convolve((1 + 2 * power) * n, d) - np.convolve(n, 2 * power * d)  # d(r N/D)/dr times D^2, in u = r^2
-    roots = np.concatenate([np.roots(slope[::-1]), np.roots(d[::-1])])
-    limits = roots.real[(np.abs(roots.imag) < 1e-9 * np.maximum(1, np.abs(roots))) & (roots.real > 0)]
-    return float(np.sqrt(limits.min())) if len(limits) else np.inf
+    return float(np.sqrt(min(_first_root(slope), _first_root(d))))
+
+
+def _first_root(coefficients: np.ndarray) -> float:
+    """The smallest positive root of a polynomial (constant term 1 first), or infinity."""
+    if (coefficients >= 0).all():
+        return np.inf
+    roots = np.roots(np.trim_zeros(coefficients, "b")[::-1])
+    real = roots.real[(np.abs(roots.imag) < 1e-9 * np.maximum(1, np.abs(roots))) & (roots.real > 0)]
+    return float(real.min()) if len(real) else np.inf
 
 
 def _bend(terms: np.ndarray, x: np.ndarray, y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -85,8 +92,8 @@ def _by_terms(count: int, x: np.ndarray, y: np.ndarray, u: np.ndarray, g: np.nda
     return out
 
 
-def bend(terms: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, *, jacobian: bool) -> tuple:
-    """Directions (X, Y, Z) -> x', y'; NaN behind the camera and where the lens folds.
+def bend(terms: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, *, jacobian: bool, past_fold: bool) -> tuple:
+    """Directions (X, Y, Z) -> x', y'; NaN behind the camera and, unless past_fold, where the lens folds.
 
     Returns:
         (x', y'), and with `jacobian` the derivatives by X, Y, Z as two triples and those by the terms as a list of pairs
@@ -95,9 +102,8 @@ def bend(terms: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, *, jaco
     inverse = 1 / np.where(z > 0, z, np.nan)
     x, y = x * inverse, y * inverse
     u = x * x + y * y
-    limit = fold_radius(tuple(np.asarray(terms).tolist()))
-    if np.isfinite(limit) and not (u < limit**2).all():
-        x = np.where(u < limit**2, x, np.nan)
+    if not past_fold:
+        x = np.where(u < fold_radius(tuple(np.asarray(terms).tolist())) ** 2, x, np.nan)
     xd, yd, g, d = _bend(terms, x, y, u)
     if not jacobian:
         return (xd, yd), None, []

@@ -26,17 +26,19 @@ def fold_radius(intrinsics: Intrinsics) -> float:
     return _family(intrinsics).fold_radius(tuple(intrinsics.distortion.tolist()))
 
 
-def bend(intrinsics: Intrinsics, x: np.ndarray, y: np.ndarray, z: np.ndarray, *, jacobian: bool) -> tuple:
+def bend(intrinsics: Intrinsics, x: np.ndarray, y: np.ndarray, z: np.ndarray, *, jacobian: bool,
+         past_fold: bool = False) -> tuple:
     """Components X, Y, Z of directions, arrays of any one shape, into image coordinates in units of the focal length.
 
-    The form for many points: nothing is stacked. Callers that want points as rows use `project`.
+    The form for many points: nothing is stacked. Callers that want points as rows use `project`. past_fold: the formula also
+    where the lens folds; an adjustment passes through such lenses on its way.
 
     Returns:
         (x', y'); with `jacobian` their derivatives by X, Y, Z as two triples, and by the distortion terms as a list of
         pairs (else None and an empty list). NaN where not visible.
     """
     out, by_v, by_terms = _family(intrinsics).bend(intrinsics.distortion, -x if intrinsics.mirrored else x, y, z,
-                                                   jacobian=jacobian)
+                                                   jacobian=jacobian, past_fold=past_fold)
     if by_v and intrinsics.mirrored:
         by_v = tuple((-by_x, by_y, by_z) for by_x, by_y, by_z in by_v)
     return out, by_v, by_terms

@@ -47,12 +47,21 @@ def solve(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[in
 
 
 def _coarse(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str) -> Solution:
-    """A first solution; a model of many terms starts from the one of few, where all are well determined."""
+    """A first solution; a model of many terms starts from the one of few, where all are well determined.
+
+    In a wide image the model of few terms fits best where it folds, and the way to the one of many leads through there; in
+    a narrow one that way may end in a fold, and the one without folds is taken.
+    """
     few = "brown4" if len(DISTORTION_NAMES[model]) > 5 else model
     lens, boards = start(corners_px, points_mm, image_size_px, few)
     boards = dataclasses.replace(boards, bow_free=len(corners_px) >= MIN_VIEWS_FOR_BOW)
-    solution = adjust(lens, [boards], tolerance=COARSE)
-    return solution if few == model else adjust(with_model(solution.intrinsics, model), solution.blocks, tolerance=COARSE)
+    for past_fold in (True, False):
+        solution = adjust(lens, [boards], tolerance=COARSE, past_fold=past_fold)
+        if few != model:
+            solution = adjust(with_model(solution.intrinsics, model), solution.blocks, tolerance=COARSE, past_fold=past_fold)
+        if not solution.folds:
+            break
+    return solution
 
 
 def with_model(lens: Intrinsics, model: str) -> Intrinsics:

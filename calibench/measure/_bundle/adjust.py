@@ -31,7 +31,8 @@ class Solution:
 
     residuals_px: of each block (V, P, 2), measured minus projected, whatever its weight. cost: weighted sum of squares.
     information (V, S, S) and score (V, S): each view's share (views of all blocks in a row) of the normal equations of the S
-    shared parameters (lens first, then what the blocks own), poses eliminated.
+    shared parameters (lens first, then what the blocks own), poses eliminated. folds: the lens folds before a point that
+    counts: it fits, but cannot be inverted and is of no use.
     """
 
     intrinsics: Intrinsics
@@ -40,6 +41,7 @@ class Solution:
     cost: float
     information: np.ndarray
     score: np.ndarray
+    folds: bool
 
     @property
     def residual_px(self) -> np.ndarray:
@@ -84,26 +86,30 @@ class _State:
     residuals: tuple[np.ndarray, ...]
     shared_count: int
     cost: float
+    folds: bool
 
 
-def adjust(lens: Intrinsics, blocks: Sequence[Block], *, lens_fixed: bool = False, tolerance: float = FINE) -> Solution:
+def adjust(lens: Intrinsics, blocks: Sequence[Block], *, lens_fixed: bool = False, tolerance: float = FINE,
+           past_fold: bool = False) -> Solution:
     """Least squares over the lens, what the blocks own, and all poses, from the values given.
 
     Args:
         lens_fixed: poses only (for views held out); lens and own parameters stay.
         tolerance: stop after the step that foresees less than this fraction of the cost.
+        past_fold: the lens may begin to fold before a point that counts (a first guess of few terms has to, where the image
+            is wide); without it only a lens that folds from the start may go on so.
 
     Raises:
         BadInput: the normal equations are singular, or a point that counts is not visible at the start.
     """
-    state = _state(lens, tuple(blocks), lens_fixed)
+    state = _state(lens, tuple(blocks), lens_fixed, past_fold=True)
     if state is None:
         raise BadInput("a first guess of a view's pose could not be made", mend="leave out blurred or partly hidden views")
     damping, last = 1e-4, False
     for _ in range(MAX_STEPS):
         shared, poses, foreseen = _step(state, damping)
         last = foreseen <= tolerance * state.cost
-        trial = _moved(state, shared, poses, lens_fixed)
+        trial = _moved(state, shared, poses, lens_fixed, past_fold=past_fold or state.folds)
         if trial is None or not trial.cost <= state.cost:
             if last:  # nothing but rounding is left to gain
                 break
@@ -123,7 +129,7 @@ def evaluated(lens: Intrinsics, blocks: Sequence[Block]) -> Solution:
     Raises:
         BadInput: a point that counts is not visible.
     """
-    state = _state(lens, tuple(blocks), lens_fixed=False)
+    state = _state(lens, tuple(blocks), lens_fixed=False, past_fold=False)
     if state is None:
         raise BadInput("a point is out of the lens's sight")
     return _solution(state)
@@ -136,22 +142,29 @@ def _solution(state: _State) -> Solution:
         information.append(_spread(reduced, normal.shared, state.shared_count))
         score.append(_spread(of_score, normal.shared, state.shared_count))
     return Solution(intrinsics=state.lens, blocks=state.blocks, cost=state.cost, information=np.concatenate(information),
-                    residuals_px=tuple(r.swapaxes(1, 2) for r in state.residuals), score=np.concatenate(score))
+                    residuals_px=tuple(r.swapaxes(1, 2) for r in state.residuals), score=np.concatenate(score),
+                    folds=state.folds)
 
 
-def _state(lens: Intrinsics, blocks: tuple[Block, ...], lens_fixed: bool) -> _State | None:
+def _state(lens: Intrinsics, blocks: tuple[Block, ...], lens_fixed: bool, *, past_fold: bool) -> _State | None:
+    """Linearised at these values; None where a point that counts is out of sight."""
+    state = _linear_state(lens, blocks, lens_fixed, folds=False)
+    return _linear_state(lens, blocks, lens_fixed, folds=True) if state is None and past_fold else state
+
+
+def _linear_state(lens: Intrinsics, blocks: tuple[Block, ...], lens_fixed: bool, *, folds: bool) -> _State | None:
     lens_count = 0 if lens_fixed else len(lens.parameters)
     at, normals, residuals, cost = lens_count, [], [], 0.0
     for block in blocks:
         own = 0 if lens_fixed else block.own_count
-        made = linearised(block, lens, lens_free=not lens_fixed)
+        made = linearised(block, lens, lens_free=not lens_fixed, past_fold=folds)
         if made is None:
             return None
         normals.append(_Normal(np.r_[0:lens_count, at:at + own], made[0], block.pose_count))
         cost += made[1]
         residuals.append(made[2])
         at += own
-    return _State(lens, blocks, tuple(normals), tuple(residuals), at, cost)
+    return _State(lens, blocks, tuple(normals), tuple(residuals), at, cost, folds)
 
 
 def _spread(of_block: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
@@ -194,7 +207,7 @@ def _step(state: _State, damping: float) -> tuple[np.ndarray, list[np.ndarray], 
     return shared, poses, float(foreseen)
 
 
-def _moved(state: _State, shared: np.ndarray, poses: list[np.ndarray], lens_fixed: bool) -> _State | None:
+def _moved(state: _State, shared: np.ndarray, poses: list[np.ndarray], lens_fixed: bool, *, past_fold: bool) -> _State | None:
     """State after a step; None where the step leaves the possible (a negative focal length, a point out of sight)."""
     lens = state.lens
     if not lens_fixed:
@@ -204,4 +217,4 @@ def _moved(state: _State, shared: np.ndarray, poses: list[np.ndarray], lens_fixe
         lens = dataclasses.replace(lens, fx_px=p[0], fy_px=p[1], cx_px=p[2], cy_px=p[3], distortion=p[4:])
     own = [shared[n.shared[n.shared >= len(lens.parameters)]] for n in state.normals]
     blocks = tuple(b.moved(o, p) for b, o, p in zip(state.blocks, own, poses, strict=True))
-    return _state(lens, blocks, lens_fixed)
+    return _state(lens, blocks, lens_fixed, past_fold=past_fold)

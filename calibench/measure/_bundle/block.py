@@ -52,13 +52,14 @@ class Block(Protocol):
         """The block with other weights (V, P)."""
 
 
-def linearised(block: Block, lens: Intrinsics, *, lens_free: bool) -> tuple[np.ndarray, float, np.ndarray] | None:
+def linearised(block: Block, lens: Intrinsics, *, lens_free: bool,
+               past_fold: bool = False) -> tuple[np.ndarray, float, np.ndarray] | None:
     """Each view's products of its derivatives and residuals; None where a point that counts is not visible.
 
     The views are taken some at a time, so that the derivatives stay in the processor's cache.
 
     Args:
-        lens_free: lens and own parameters take part; else only the poses do.
+        lens_free: lens and own parameters take part; else only the poses do. past_fold: see `projection.bend`.
 
     Returns:
         gram (V, n, n + 1): J [J r]^T over the view's points, rows of J: lens, own, pose; r the weighted residual.
@@ -71,7 +72,7 @@ def linearised(block: Block, lens: Intrinsics, *, lens_free: bool) -> tuple[np.n
     rows = np.empty((min(some, views), len(lens.parameters) + block.own_count + block.pose_count + 1, 2, points))
     for first in range(0, views, some):
         part = np.s_[first:first + some]
-        if not _fill(block.take(part), lens, rows[:views - first], residual[part]):
+        if not _fill(block.take(part), lens, rows[:views - first], residual[part], past_fold):
             return None
         flat = rows[:views - first, -n - 1:].reshape(-1, n + 1, 2 * points)
         np.matmul(flat[:, :-1], flat.swapaxes(1, 2), out=gram[part])
@@ -79,10 +80,10 @@ def linearised(block: Block, lens: Intrinsics, *, lens_free: bool) -> tuple[np.n
     return gram, cost, residual
 
 
-def _fill(block: Block, lens: Intrinsics, rows: np.ndarray, residual: np.ndarray) -> bool:
+def _fill(block: Block, lens: Intrinsics, rows: np.ndarray, residual: np.ndarray, past_fold: bool) -> bool:
     """Write rows (V, lens + own + pose + 1, 2, P) and residuals (V, 2, P); False if a point that counts is out of sight."""
     xyz = block.to_camera()
-    (x, y), by_v, by_terms = projection.bend(lens, *xyz, jacobian=True)
+    (x, y), by_v, by_terms = projection.bend(lens, *xyz, jacobian=True, past_fold=past_fold)
     weight = block.weight
     scale_x, scale_y = weight * lens.fx_px, weight * lens.fy_px
     rows[:, :4] = 0

@@ -6,6 +6,8 @@ import numpy as np
 
 from .adjust import Solution
 
+CHANCE_SIGMA = 2.0
+
 
 def classical(solution: Solution) -> np.ndarray:
     """(S, S): sigma^2 (J'J)^-1 of lens and own parameters, poses included, sigma^2 from the residuals."""
@@ -29,13 +31,16 @@ def recommended(solution: Solution) -> np.ndarray:
     """(S, S): as far as the views err together the clustered covariance, for the rest the classical one.
 
     f, the clustered variance over the classical one as a mean over all parameters, says how far: of the variance in the
-    data the share 1 - 1/f is common to the points of a view. The clustered estimate alone would be as true on average, but
-    of few views it is itself uncertain (a +-1 sigma interval of 13 views covers 64 %, not 68); where the points turn out
-    to err independently (f about 1) the classical shape has no such fault. With no more views than parameters only f is known.
+    data the share 1 - 1/f is common to the points of a view. An f within two standard errors, 2 (2 / (S V))^1/2, of 1 is
+    chance, and the classical covariance stands. The clustered estimate alone would be as true on average, but of few views
+    it is itself uncertain (a +-1 sigma interval of 13 views covers 64 %, not 68). With no more views than parameters only
+    f is known, and the classical covariance is scaled by it.
     """
     of_points, of_views = classical(solution), clustered(solution)
     views, shared = solution.score.shape
-    factor = max(1.0, float(np.trace(np.linalg.solve(of_points, of_views))) / shared)
+    factor = float(np.trace(np.linalg.solve(of_points, of_views))) / shared
+    if factor < 1 + CHANCE_SIGMA * np.sqrt(2 / (shared * views)):
+        return of_points
     share = 1 - 1 / factor if views > shared else 0.0
     return share * of_views + (1 - share) * factor * of_points
 

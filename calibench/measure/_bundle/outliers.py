@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...errors import BadInput
 from .adjust import Solution, adjust
 
 ROUNDS = 12
@@ -21,7 +22,11 @@ class Rejection:
 
 
 def without_outliers(solution: Solution, rejection: Rejection, *, lens_fixed: bool = False) -> Solution:
-    """The adjustment with outliers at weight 0, from a first (coarse) solution over all points."""
+    """The adjustment with outliers at weight 0, from a first (coarse) solution over all points.
+
+    Raises:
+        BadInput: the lens that fits folds before a point that counts.
+    """
     given = [block.weight for block in solution.blocks]
     for tried in range(ROUNDS):
         keep = [_inliers(residual, block.weight, weight, rejection)
@@ -30,6 +35,9 @@ def without_outliers(solution: Solution, rejection: Rejection, *, lens_fixed: bo
             break
         blocks = [b.weighted(np.where(k, w, 0.0)) for b, k, w in zip(solution.blocks, keep, given, strict=True)]
         solution = adjust(solution.intrinsics, blocks, lens_fixed=lens_fixed)
+    if solution.folds:
+        raise BadInput(f"the lens model {solution.intrinsics.model} does not suit this lens: fitted, it folds inside the image",
+                       mend="ask for a model of more terms, or for a fisheye")
     return solution
 
 
