@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calibench.errors import BadInput
 from calibench.measure import intrinsics
 from calibench.measure.corners import _views as views
 from calibench.measure.corners._target import Target
@@ -31,6 +32,11 @@ def test_any_detector_and_any_window(frames, detector, window):
     assert result.quantity("rms_px").value < 0.165
     assert result.quantity("outliers").value <= 0.02 * result.quantity("points").value
     assert -0.19 < result.quantity("board_bow_y_mm").value < -0.15
+
+
+def test_a_smaller_board_than_the_true_one_is_told(frames):
+    with pytest.raises(BadInput, match="found 9x6, you said 8x6"):
+        intrinsics.measure(frames, intrinsics.Settings(board=(8, 6)))
 
 
 def test_a_view_costs_milliseconds(frames):

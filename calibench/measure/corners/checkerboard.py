@@ -31,12 +31,13 @@ def may_go_on(grey: np.ndarray, xy_px: np.ndarray, board: tuple[int, int]) -> bo
     columns, rows = board
     along, down = np.arange(columns - 1) + 0.5, np.arange(rows - 1) + 0.5
     inside = abs(_alternation(grey, to_image, *np.meshgrid(along, down)))
-    beyond = ((along, -1.5), (along, rows + 0.5), (-1.5, down), (columns + 0.5, down))
+    # near the outermost squares of the board said: those of the true board may be cut narrower
+    beyond = ((along, -1.25), (along, rows + 0.25), (-1.25, down), (columns + 0.25, down))
     return any(abs(_alternation(grey, to_image, *np.broadcast_arrays(u, v))) > 0.5 * inside for u, v in beyond)
 
 
 def _alternation(grey: np.ndarray, to_image: np.ndarray, u: np.ndarray, v: np.ndarray) -> float:
-    """Amplitude of black against white over the middles u, v of squares, as far as they are in the image."""
+    """Amplitude of black against white over places u, v in squares, as far as they are in the image."""
     x, y, scale = to_image @ np.stack([u.ravel(), v.ravel(), np.ones(u.size)])
     column, row = np.rint([x / scale, y / scale]).astype(int)
     there = (column >= 0) & (row >= 0) & (column < grey.shape[1]) & (row < grey.shape[0])
