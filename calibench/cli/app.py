@@ -17,7 +17,7 @@ app = typer.Typer(name="calibench", no_args_is_help=True, add_completion=False, 
                   rich_markup_mode=None)
 for room in (sessions, measuring, sky):
     for command in room.COMMANDS:
-        app.command(name=command.__name__)(command)
+        app.command(name=command.__name__.replace("_", "-"))(command)
 app.add_typer(maps.app, name="map")
 app.add_typer(simulating.app, name="simulate")
 

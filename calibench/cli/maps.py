@@ -28,7 +28,8 @@ def info(map_: MapArgument, json_: Json = False) -> None:
         print(f"{part}: " + (", ".join(f"{k} {v}" for k, v in values[part].items() if v not in (None, "", [])) or "not stated"))
     print(table(("layer", "measured"), [(n, "yes" if layer["measured"] else "no") for n, layer in values["layers"].items()]))
     for verdict in values["verdicts"]:
-        print(f"{verdict.get('status', '?')}: {verdict}")
+        limit = verdict["limit"]
+        print(f"{verdict['status']}: {limit['measurement']}.{limit['quantity']}: {verdict['reason']}")
 
 
 @app.command()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..errors import UsageError
 from .output import Json, number, print_json, progress, say, table
+
+if TYPE_CHECKING:  # starting the command line loads no numpy
+    from ..records import CalibrationMap, Measurement
 
 Frames = Annotated[list[Path], typer.Argument(metavar="FRAMES...", help="Frame files and folders of frames.")]
 Map = Annotated[Path | None, typer.Option("--map", help="A calibration map to use.")]
@@ -79,16 +82,24 @@ def board_size(text: str) -> tuple[int, int]:
 def _measure(name: str, kind: str, arguments: list[Path], settings: dict, map_: Path | None, map_out: Path | None,
              as_json: bool) -> None:
     from ..io.frames import find_frames
-    from ..io.map_file import read_map, write_map
-    from ..session.measuring import into_map, measure
+    from ..io.map_file import read_map
+    from ..session.measuring import measure
     from ..session.reading import read_arguments
-    from ..session.results import measurement_json
     calmap = read_map(map_) if map_ else None
     paths = find_frames(arguments)
     with progress() as tell:
         frames, rejected = read_arguments(arguments, paths, kind, lambda done: tell("read frames", done, len(paths)))
         tell(f"measure {name}", 0, 1)
         measurement = measure(name, frames, calmap, settings)
+    finish_measurement(measurement, rejected, calmap, map_out, as_json)
+
+
+def finish_measurement(measurement: Measurement, rejected: list[tuple[str, str]], calmap: CalibrationMap | None,
+                       map_out: Path | None, as_json: bool) -> None:
+    """Write the map that was asked for, then print the measurement."""
+    from ..io.map_file import write_map
+    from ..session.measuring import into_map
+    from ..session.results import measurement_json
     if map_out:
         write_map(map_out, into_map([measurement], calmap))
     values = measurement_json(measurement)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..errors import BadInput, UsageError
-from .measuring import Frames, Map
+from .measuring import Frames, Map, MapOut, finish_measurement
 from .output import Json, number, print_json, progress, say, table
 
 Identify = Annotated[str, typer.Option(help="Identification method.")]
@@ -89,6 +89,7 @@ def validate(frames: Frames,
              k_sigma: KSigma = 5.0, json_: Json = False) -> None:
     """What each layer of a map earns, in arcseconds, on sky frames."""
     from .. import registry
+    from ..calmap.conditions import outside_conditions
     from ..io.frames import find_frames, read_frame
     from ..io.map_file import read_map
     from ..session.render import load_truth, sky_truth
@@ -107,14 +108,44 @@ def validate(frames: Frames,
         raise BadInput(f"no truth is given for {', '.join(lacking)}", file=truth,
                        mend="give the truth.toml that was rendered with them, leave them out, or leave out --truth")
     with progress() as tell:
-        count = iter(range(1, 10**9))
+        count, total = iter(range(1, 10**9)), len(cases) * len(module.variants(calmap))
         found, _ = module.trial(cases, calmap, lambda case: sky.finder(case.frame.date_obs), settings,
-                                lambda: tell("solve", next(count), len(cases)))
+                                lambda: tell("solve", next(count), total))
+    outside = {case.frame.name: outside_conditions(case.frame, calmap) for case in cases}
     if json_:
-        print_json(trial_json(found) | {"map": str(map_)})
+        print_json(trial_json(found) | {"map": str(map_), "map_outside_conditions": {k: list(v) for k, v in outside.items() if v}})
     else:
         print(table(found.columns, found.rows))
         print(f"\n{found.reading}")
+        for name, sentences in outside.items():
+            for sentence in sentences:
+                say(f"{name}: {sentence}")
 
 
-COMMANDS = (solve, validate)
+def star_lens(frames: Frames, map_: Map = None, map_out: MapOut = None,
+              fov_deg: Annotated[float | None, typer.Option(help="Horizontal field, degrees, to 10 %; without a map.",
+                                                            min=0.5, max=120)] = None,
+              model: Annotated[str | None, typer.Option(help="Lens model; without it, chosen by held-out frames.")] = None,
+              json_: Json = False) -> None:
+    """Lens from the identified stars of several sky frames."""
+    import math
+
+    from ..io.frames import find_frames
+    from ..io.map_file import read_map
+    from ..records import DISTORTION_NAMES
+    from ..session.sky import Sky, solve_files
+    from ..session.star_target import star_lens as measure_star_lens
+    if model is not None and model not in DISTORTION_NAMES:
+        raise UsageError(f"no lens model '{model}'", mend=f"choose one of: {', '.join(DISTORTION_NAMES)}")
+    calmap, paths = read_map(map_) if map_ else None, find_frames(frames)
+    with progress() as tell:
+        solved = []
+        for one in solve_files(paths, Sky(), calmap, fov_rad=math.radians(fov_deg) if fov_deg else None,
+                               named=frozenset(path for path in paths if path in frames)):
+            solved.append(one)
+            tell("solve", len(solved), len(paths))
+        measurement = measure_star_lens(solved, {"model": model})
+    finish_measurement(measurement, [], calmap, map_out, json_)
+
+
+COMMANDS = (solve, star_lens, validate)

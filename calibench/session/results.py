@@ -38,13 +38,13 @@ def _lens_json(measurement: Measurement) -> dict:
     classical = measurement.evidence["uncertainty_classical"]
     values = {q.name: q.value for q in measurement.quantities}
     counts = {n: int(values[n]) for n in ("views_given", "views_used", "points", "outliers")}
+    bow = [values[f"board_bow_{axis}_mm"] for axis in "xy"] if "board_bow_x_mm" in values else None
     return {"model": lens.model, "fx_px": lens.fx_px, "fy_px": lens.fy_px, "cx_px": lens.cx_px, "cy_px": lens.cy_px,
             "distortion": dict(zip(DISTORTION_NAMES[lens.model], lens.distortion.tolist(), strict=True)),
             "uncertainty": {n: finite(s) for n, s in zip(names, np.sqrt(np.diag(lens.covariance)), strict=True)},
             "uncertainty_classical": {n: finite(s) for n, s in zip(names, classical, strict=False)},
             "rms_px": values["rms_px"], "rms_all_px": values["rms_all_px"], "held_out_rms_px": values["held_out_rms_px"],
-            "board_bow_mm": [values["board_bow_x_mm"], values["board_bow_y_mm"]],
-            "image_size_px": list(lens.image_size_px)} | counts
+            "board_bow_mm": bow, "image_size_px": list(lens.image_size_px)} | counts
 
 
 def solved_json(solved: SolvedFrame, calmap: CalibrationMap | None, stars: tuple[np.ndarray, np.ndarray]) -> dict:

@@ -19,8 +19,7 @@ from ..calmap.correct import correct, outside_conditions
 from ..errors import BadInput
 from ..io import atomic
 from ..io.map_file import write_map
-from ..io.observer import observer_at
-from ..records import CalibrationMap, Frame, Measurement, Observer
+from ..records import CalibrationMap, Frame, Measurement
 from ..report.build import build_report
 from ..report.story import ShotStory, SkyStory, Story
 from ..validate.case import SkyCase
@@ -34,8 +33,9 @@ from .results import measurement_json, pointing_json, solved_json, trial_json, v
 from .shots import judge_shot, open_session, read_shot
 from .sky import Sky, SolvedFrame
 from .star_names import STAR_NAMES
+from .star_target import star_lens
 
-ORDER = ("flat", "transfer", "dark", "intrinsics", "psf")
+FIRST, LAST = ("flat", "dark", "intrinsics", "psf"), ("star_lens",)  # what else there is comes between
 Tell = Callable[[str, int, int], None]  # (stage, done, total)
 
 
@@ -69,12 +69,19 @@ def run_session(session: Path, out: Path, tell: Tell = lambda stage, done, total
 
     measurements: dict[str, Measurement] = {}
     calmap = None
-    wanted = [shot for name in ORDER for shot in protocol.shot if shot.measure == name and frames[shot.name]]
+    wanted = sorted((shot for shot in protocol.shot if shot.measure and frames[shot.name]), key=lambda s: _turn(s.measure))
+    sky = Sky(method=protocol.solve.identify)
+    settings = {"attitude_method": protocol.solve.attitude, "detector": protocol.solve.detector,
+                "centroider": protocol.solve.centroid, "k_sigma": protocol.solve.k_sigma}
     for i, shot in enumerate(wanted):
         tell(f"measure {shot.measure}", i, len(wanted))
         clock = perf_counter()
         given = frames[shot.name] + [f for other in shot.with_ for f in frames[other]]
-        measurements[shot.measure] = measure(shot.measure, given, calmap, protocol.measure.get(shot.measure, {}))
+        asked = protocol.measure.get(shot.measure, {})
+        if shot.measure == "star_lens":
+            measurements[shot.measure] = star_lens([sky.solve(frame, calmap, settings=settings) for frame in given], asked)
+        else:
+            measurements[shot.measure] = measure(shot.measure, given, calmap, asked)
         calmap = into_map(list(measurements.values()), None, protocol.camera_record, protocol_sha256)
         seconds[f"measure {shot.measure}"] = perf_counter() - clock
     if calmap is None:
@@ -84,7 +91,7 @@ def run_session(session: Path, out: Path, tell: Tell = lambda stage, done, total
 
     clock = perf_counter()
     cases = _sky_cases(session, protocol, frames)
-    trial, sky_stories, solved = _solve_sky(cases, calmap, protocol, tell) if cases else (None, (), [])
+    trial, sky_stories, solved = _solve_sky(cases, calmap, sky, settings, tell) if cases else (None, (), [])
     seconds["sky and ablation"] = perf_counter() - clock
 
     story = Story(title=protocol.protocol.name, why=protocol.protocol.why, created=calmap.created, software=calmap.software,
@@ -116,17 +123,20 @@ def check_session(session: Path, protocol: Protocol, tell: Tell) -> tuple[dict[s
 def _sky_cases(session: Path, protocol: Protocol, frames: dict[str, list[Frame]]) -> list[SkyCase]:
     """Frames of the shots that nobody measures: the sky, with truth where the session carries it."""
     truth = load_truth(session / TRUTH_FILE) if (session / TRUTH_FILE).is_file() else {}
-    return [SkyCase(frame=frame, observer=observer_at(frame.date_obs) if frame.date_obs else Observer(),
-                    truth=sky_truth(truth, frame.name))
+    return [SkyCase(frame=frame, truth=sky_truth(truth, frame.name))
             for shot in protocol.shot if shot.measure is None for frame in frames[shot.name]]
 
 
-def _solve_sky(cases: list[SkyCase], calmap: CalibrationMap, protocol: Protocol, tell: Tell) -> tuple:
-    sky = Sky(method=protocol.solve.identify)
+def _turn(measurement: str) -> int:
+    """When a measurement is made: those that others build on first, the stars with the map of all others last."""
+    if measurement in LAST:
+        return len(FIRST) + 1
+    return FIRST.index(measurement) if measurement in FIRST else len(FIRST)
+
+
+def _solve_sky(cases: list[SkyCase], calmap: CalibrationMap, sky: Sky, settings: dict, tell: Tell) -> tuple:
     total = len(cases) * len(ablation.variants(calmap))
     count = iter(range(1, total + 1))
-    settings = {"attitude_method": protocol.solve.attitude, "detector": protocol.solve.detector,
-                "centroider": protocol.solve.centroid, "k_sigma": protocol.solve.k_sigma}
     trial, tried = ablation.trial(cases, calmap, lambda case: sky.finder(case.frame.date_obs), settings,
                                   lambda: tell("solve sky", next(count), total))
     stories, solved = [], []

@@ -28,6 +28,7 @@ class Sky:
     method: str = "pattern"
     table: StarTable = field(default_factory=load_star_table)
     finders: dict[str | None, LostInSpace] = field(default_factory=dict)
+    familiar: dict = field(default_factory=dict)
 
     def finder(self, date_obs: str | None) -> LostInSpace:
         """The identifier for frames of that date (ISO 8601, UTC; None: J2000.0, no aberration)."""
@@ -40,6 +41,22 @@ class Sky:
                 finder.tables = next(iter(self.finders.values())).tables
             self.finders[day] = finder
         return self.finders[day]
+
+    def solve(self, frame: Frame, calmap: CalibrationMap | None, *, fov_rad: float | None = None, settings: dict | None = None,
+              read_s: float = 0.0) -> SolvedFrame:
+        """Correct and solve one frame; a lens fitted to it is the first guess for the next.
+
+        Raises:
+            BadInput: the frame has another size than the map.
+        """
+        start = perf_counter()
+        layers = calmap or CalibrationMap(image_size_px=frame.image_size_px)
+        corrected = correct(frame, layers)
+        timings = {"read": read_s, "correct": perf_counter() - start}
+        solver = Solver(finder=self.finder(frame.date_obs), familiar=self.familiar, **(settings or {}))
+        solution = solver.solve(corrected, lens_of(layers, fov_rad))
+        return SolvedFrame(frame=frame, solution=replace(solution, timings_s=timings | solution.timings_s),
+                           outside=outside_conditions(frame, layers), warnings=corrected.warnings)
 
 
 def _unread(path: Path, fault: BadInput, method: str) -> SolvedFrame:
@@ -77,9 +94,8 @@ def solve_files(paths: Iterable[Path], sky: Sky, calmap: CalibrationMap | None, 
     Raises:
         BadInput: a named frame cannot be read, a frame's sources contradict each other, or it has another size than the map.
     """
-    familiar: dict = {}
     for path in paths:
-        clock = [perf_counter()]
+        start = perf_counter()
         try:
             frame = read_frame(path, "light")
         except Contradiction:
@@ -89,14 +105,4 @@ def solve_files(paths: Iterable[Path], sky: Sky, calmap: CalibrationMap | None, 
                 raise
             yield _unread(path, fault, sky.method)
             continue
-        clock.append(perf_counter())
-        layers = calmap or CalibrationMap(image_size_px=frame.image_size_px)
-        corrected = correct(frame, layers)
-        outside = outside_conditions(frame, layers)
-        clock.append(perf_counter())
-        solver = Solver(finder=sky.finder(frame.date_obs), familiar=familiar, **(settings or {}))
-        solution = solver.solve(corrected, lens_of(layers, fov_rad))
-        read, corrected_s = np.diff(clock).tolist()
-        timings = {"read": read, "correct": corrected_s} | solution.timings_s
-        yield SolvedFrame(frame=frame, solution=replace(solution, timings_s=timings), outside=outside,
-                          warnings=corrected.warnings)
+        yield sky.solve(frame, calmap, fov_rad=fov_rad, settings=settings, read_s=perf_counter() - start)

@@ -11,6 +11,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..errors import BadInput
 from .sky_catalogue import SkyCatalogue
 
 SPACING = 0.7  # between centres, in radii: any field lies well inside some circle
@@ -45,7 +46,14 @@ def brightest_groups(sky: SkyCatalogue, radius_rad: float, stars: int, size: int
 
 
 def unique_rows(groups: np.ndarray, base: int) -> np.ndarray:
-    """Rows (G, size) of ascending numbers below `base`, each once, sorted."""
+    """Rows (G, size) of ascending numbers below `base`, each once, sorted.
+
+    Raises:
+        BadInput: a row does not fit into one 64-bit key.
+    """
+    if base ** groups.shape[1] > np.iinfo(np.int64).max:
+        raise BadInput(f"a star table of {base} stars is too large for groups of {groups.shape[1]}",
+                       mend="cut the table at a brighter magnitude")
     weight = base ** np.arange(groups.shape[1])[::-1].astype(np.int64)
     keys = np.unique(groups.astype(np.int64) @ weight)
     return (keys[:, None] // weight % base).astype(np.int32)

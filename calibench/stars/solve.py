@@ -91,6 +91,7 @@ class Solver:
                            detector=self.detector, centroider=self.centroider, k_sigma=self.k_sigma)
         clock.append(perf_counter())
         found = self.finder.identify(spots, size, lens=lens.intrinsics, fov_rad=lens.fov_rad, familiar=self.familiar.get(size))
+        found = replace(found, file=corrected.file)
         clock.append(perf_counter())
         if found.status == "solved":
             attitude = find_attitude(found, self.attitude_method, calibrated=lens.intrinsics is not None)

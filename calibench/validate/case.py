@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..geometry import sphere
-from ..records import Frame, Observer
+from ..records import Frame
 from ..records.arrays import frozen, settle
 from ..stars.solve import Solution
 
@@ -25,10 +25,9 @@ class SkyTruth:
 
 @dataclass(frozen=True, kw_only=True)
 class SkyCase:
-    """frame: raw. observer: when and how fast it was taken. truth: None where nobody knows."""
+    """frame: raw. truth: None where nobody knows."""
 
     frame: Frame
-    observer: Observer = field(default_factory=Observer)
     truth: SkyTruth | None = None
 
 

@@ -105,3 +105,17 @@ def test_a_session_grows_shot_by_shot(root, tmp_path):
     assert checked.returncode == 1
     status = {s["name"]: s["status"] for s in json.loads(checked.stdout)["shots"]}
     assert status == {"boards": "pass", "darks": "fail", "flats": "fail", "spots": "fail", "sky": "skipped"}
+
+
+def test_a_shot_of_stars_measures_the_lens(root, tmp_path):
+    session = tmp_path / "stars"
+    session.mkdir()
+    shutil.copytree(root / "sample_frames" / "sky", session / "sky")
+    (session / "session.toml").write_text(
+        '[protocol]\nschema = 1\nname = "stars only"\nwhy = "lens from the sky"\n[[shot]]\nname = "sky"\nfolder = "sky"\n'
+        'kind = "light"\nframes = 4\nmeasure = "star_lens"\n')
+    done = calibench("run", session, "--out", tmp_path / "out", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    lens = json.loads(done.stdout)["measurements"]["star_lens"]
+    assert lens["fx_px"] == pytest.approx(1417.3, abs=1.0)  # the coma of this lens adds 0.64 px to the focal length of stars
+    assert read_map(tmp_path / "out" / "calibration.fits").measured == {"intrinsics"}
