@@ -111,9 +111,9 @@ def validate(frames: Frames,
         count, total = iter(range(1, 10**9)), len(cases) * len(module.variants(calmap))
         found, _ = module.trial(cases, calmap, lambda case: sky.finder(case.frame.date_obs), settings,
                                 lambda: tell("solve", next(count), total))
-    outside = {case.frame.name: outside_conditions(case.frame, calmap) for case in cases}
+    outside = {case.frame.name: list(said) for case in cases if (said := outside_conditions(case.frame, calmap))}
     if json_:
-        print_json(trial_json(found) | {"map": str(map_), "map_outside_conditions": {k: list(v) for k, v in outside.items() if v}})
+        print_json(trial_json(found) | {"map": str(map_), "map_outside_conditions": outside})
     else:
         print(table(found.columns, found.rows))
         print(f"\n{found.reading}")
