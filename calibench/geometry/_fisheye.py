@@ -72,7 +72,7 @@ def straighten(terms: np.ndarray, xd: np.ndarray, yd: np.ndarray) -> tuple[np.nd
         at, slope = _radius(terms, t)
         low, high = np.where(at < h, t, low), np.where(at < h, high, t)
         moved = t + (h - at) / slope
-        moved = np.where((moved > low) & (moved < high), moved, (low + high) / 2)
+        moved = np.where((moved >= low) & (moved <= high), moved, (low + high) / 2)
         small = np.abs(moved - t) < 1e-15
         t = moved
         if small.all():

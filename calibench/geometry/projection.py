@@ -18,7 +18,7 @@ from . import _fisheye, _rational
 
 
 def _family(intrinsics: Intrinsics) -> ModuleType:
-    return _fisheye if intrinsics.model.startswith("fisheye") else _rational
+    return _fisheye if intrinsics.is_fisheye else _rational
 
 
 def fold_radius(intrinsics: Intrinsics) -> float:

@@ -65,11 +65,13 @@ def _coarse(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[
 
 
 def with_model(lens: Intrinsics, model: str) -> Intrinsics:
-    """The same lens under a model with more (or fewer) terms of the same order; covariance unknown."""
+    """The same lens under a model with more (or fewer) terms; covariance unknown. Terms of another family begin at zero."""
     terms = len(DISTORTION_NAMES[model])
-    distortion = np.zeros(terms)
-    distortion[:len(lens.distortion)] = lens.distortion[:terms]
-    return dataclasses.replace(lens, model=model, distortion=distortion, covariance=np.full((4 + terms, 4 + terms), np.inf))
+    unknown = np.full((4 + terms, 4 + terms), np.inf)
+    same = dataclasses.replace(lens, model=model, distortion=np.zeros(terms), covariance=unknown)
+    if same.is_fisheye != lens.is_fisheye:
+        return same
+    return dataclasses.replace(same, distortion=np.resize(np.append(lens.distortion, np.zeros(terms)), terms))
 
 
 def held_out_px2(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str, *,

@@ -9,12 +9,15 @@ import numpy as np
 from ..errors import BadInput
 from .arrays import frozen, settle
 
-# Distortion names by model, in OpenCV's order; the parameters before them are fx, fy, cx, cy.
+# Distortion names by model, in OpenCV's order; the parameters before them are fx, fy, cx, cy. A fisheye's k are others than
+# a Brown lens's: terms of one name mean the same only within a family (geometry/_rational.py, _fisheye.py).
 DISTORTION_NAMES: dict[str, tuple[str, ...]] = {
     "pinhole": (),
     "brown4": ("k1", "k2", "p1", "p2"),
     "brown5": ("k1", "k2", "p1", "p2", "k3"),
     "rational8": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "thin_prism12": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4"),
+    "fisheye4": ("k1", "k2", "k3", "k4"),
 }
 
 
@@ -55,6 +58,11 @@ class Intrinsics:
     def parameters(self) -> np.ndarray:
         """(4 + n,) values in the order of `parameter_names`."""
         return np.array([self.fx_px, self.fy_px, self.cx_px, self.cy_px, *self.distortion])
+
+    @property
+    def is_fisheye(self) -> bool:
+        """Whether the lens may see 90 degrees and more from its axis."""
+        return self.model.startswith("fisheye")
 
     @property
     def camera_matrix(self) -> np.ndarray:

@@ -6,12 +6,14 @@ from calibench.errors import BadInput
 from calibench.geometry import projection
 from calibench.records import DISTORTION_NAMES, Intrinsics
 
-TERMS = [-0.3686, 0.3148, -0.0023, 0.0003, -0.05, 0.01, 0.02, -0.01]
+TERMS = [-0.3686, 0.3148, -0.0023, 0.0003, -0.05, 0.01, 0.02, -0.01, 0.001, -0.002, 0.0015, 0.003]
+FISHEYE = [-0.02, 0.01, -0.004, 0.0005]
 
 
 def lens(model: str, mirrored: bool = False) -> Intrinsics:
     n = len(DISTORTION_NAMES[model])
-    return Intrinsics(model=model, fx_px=1416.7, fy_px=1420.1, cx_px=370.2, cy_px=244.9, distortion=TERMS[:n],
+    terms = FISHEYE if model == "fisheye4" else TERMS[:n]
+    return Intrinsics(model=model, fx_px=1416.7, fy_px=1420.1, cx_px=370.2, cy_px=244.9, distortion=terms,
                       image_size_px=(752, 480), covariance=np.eye(4 + n), mirrored=mirrored)
 
 
@@ -23,7 +25,10 @@ def directions(n: int = 200) -> np.ndarray:
 @pytest.mark.parametrize("model", DISTORTION_NAMES)
 def test_projection_is_opencvs(model):
     i, v = lens(model), directions()
-    theirs = cv2.projectPoints(v, np.zeros(3), np.zeros(3), i.camera_matrix, i.distortion)[0][:, 0]
+    if model == "fisheye4":
+        theirs = cv2.fisheye.projectPoints(v[:, None], np.zeros(3), np.zeros(3), i.camera_matrix, i.distortion)[0][:, 0]
+    else:
+        theirs = cv2.projectPoints(v, np.zeros(3), np.zeros(3), i.camera_matrix, i.distortion)[0][:, 0]
     np.testing.assert_allclose(projection.project(i, v), theirs, atol=1e-9)
 
 
@@ -70,3 +75,26 @@ def test_nothing_is_visible_behind_or_beyond_the_fold():
     assert np.isnan(out[:2]).all() and np.isfinite(out[2]).all()
     with pytest.raises(BadInput, match="folds"):
         projection.unproject(strong, np.array([[320 + 500 * 0.7, 240.0]]))
+
+
+def test_a_fisheye_sees_past_ninety_degrees_up_to_its_fold():
+    i = lens("fisheye4")
+    angle = np.radians([0, 1e-7, 60, 90, 110])
+    v = np.stack([np.sin(angle), np.zeros(5), np.cos(angle)], -1)
+    xy, by_v, _ = projection.project_with_jacobian(i, v)
+    assert (np.diff(xy[:, 0]) > 0).all() and np.isfinite(by_v).all()
+    np.testing.assert_allclose(projection.unproject(i, xy), v, atol=1e-9)
+    h = 1e-6
+    for axis in range(3):
+        step = np.eye(3)[axis] * h
+        numeric = (projection.project(i, v + step) - projection.project(i, v - step)) / (2 * h)
+        np.testing.assert_allclose(by_v[:, :, axis], numeric, rtol=1e-5, atol=2e-2)
+    assert projection.fold_radius(i) == np.inf
+    folded = Intrinsics(model="fisheye4", fx_px=300, fy_px=300, cx_px=320, cy_px=240, distortion=[-0.2, 0, 0, 0],
+                        image_size_px=(640, 480), covariance=np.eye(8))
+    fold = np.sqrt(1 / 0.6)  # of t - 0.2 t^3
+    assert projection.fold_radius(folded) == pytest.approx(np.tan(fold))
+    at = [[np.sin(t), 0, np.cos(t)] for t in (fold - 0.01, fold + 0.01)]
+    assert np.isfinite(projection.project(folded, np.array(at))).tolist() == [[True, True], [False, False]]
+    with pytest.raises(BadInput, match="cannot be inverted"):
+        projection.unproject(folded, np.array([[320 + 300 * 0.9, 240.0]]))

@@ -11,6 +11,7 @@ import pytest
 from calibench.errors import BadInput
 from calibench.geometry import projection
 from calibench.geometry.rotation import matrix_from_rotvec
+from calibench.measure import _board_lens as board_lens
 from calibench.measure._bundle import covariance
 from calibench.measure._bundle.adjust import COARSE, adjust
 from calibench.measure._bundle.block import linearised
@@ -71,6 +72,20 @@ def test_optimum_is_that_of_opencv(board_corners, model):
         criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 300, 1e-14))
     assert np.sqrt(np.mean(np.sum(mine.residual_px**2, -1))) == pytest.approx(rms, abs=1e-5)
     assert mine.intrinsics.fx_px == pytest.approx(camera[0, 0], abs=0.02)
+
+
+@pytest.mark.parametrize(("model", "terms"), [("fisheye4", [0.05, -0.01, 0.003, -0.001]),
+                                              ("thin_prism12", [-0.28, 0.08, 1e-3, -5e-4, *[0] * 4, 2e-3, -1e-3, 1e-3, 1e-3])])
+def test_other_lenses_are_found_from_noisy_corners(board_corners, model, terms):
+    focal = 200.0 if model == "fisheye4" else 530.0
+    truth = Intrinsics(model=model, fx_px=focal, fy_px=focal + 1, cx_px=322.0, cy_px=236.0, image_size_px=SIZE,
+                       distortion=terms, covariance=np.zeros((4 + len(terms),) * 2))
+    points, corners = board_corners(truth, np.random.default_rng(10), views=25, sigma_px=0.05)
+    solution, kept = board_lens.solve(corners, points, SIZE, model, rejection=Rejection(sigma=4, most=0.03), worst_view=4)
+    assert kept.all() and not solution.folds
+    sd = np.sqrt(np.diag(covariance.classical(solution)))[:4]
+    assert (np.abs(solution.intrinsics.parameters - truth.parameters)[:4] < 4 * sd).all()
+    assert np.sqrt(np.mean(solution.residual_px**2)) == pytest.approx(0.05, abs=0.003)
 
 
 @pytest.mark.parametrize("kind", ["boards", "stars"])

@@ -16,6 +16,7 @@ from .boards import Boards
 
 NO_FOCAL = "the views allow no focal length: all show the board at the same tilt"
 LONGEST_FOCAL = 100.0  # image widths; beyond, rounding alone makes the focal length
+LEAST_COSINE = 0.1
 TILT = "tilt the board by 20 to 45 degrees about both axes, differently in each view"
 
 
@@ -45,7 +46,8 @@ def posed(lens: Intrinsics, xy_px: np.ndarray, points_mm: np.ndarray, **more: ob
     there = np.isfinite(xy_px).all(axis=-1)
     v = np.full((*there.shape, 3), np.nan)
     v[there] = projection.unproject(lens, xy_px[there])
-    h = _homographies(v[..., :2] / v[..., 2:], points_mm)
+    z = np.where(v[..., 2:] > LEAST_COSINE, v[..., 2:], np.nan)  # the rest of a fisheye's field has no place in a plane
+    h = _homographies(v[..., :2] / z, points_mm)
     scale = 1 / np.sqrt(np.linalg.norm(h[:, :, 0], axis=1) * np.linalg.norm(h[:, :, 1], axis=1))
     h = h * scale[:, None, None]  # h33 > 0: the board's middle lies before the camera
     r1, r2, translation = np.moveaxis(h, 2, 0)
