@@ -96,29 +96,32 @@ def whole_solve(corners, points):
     return solution, covariance.classical(solution), covariance.recommended(solution)
 
 
-def opencv(corners, points):
+def opencv(corners, points, flags: int = 0):
     objects, images = [points.astype(np.float32)] * len(corners), [c.astype(np.float32) for c in corners]
-    return cv2.calibrateCamera(objects, images, SIZE, None, None, flags=cv2.CALIB_FIX_K3)
+    return cv2.calibrateCamera(objects, images, SIZE, None, None, flags=cv2.CALIB_FIX_K3 | flags)
 
 
 def test_speed(board_corners, tmp_path):
-    print("\n\nviews  ours ms  mrcal ms  cv2 ms (CPU, 70 corners a view)", file=sys.stderr)
-    ours, theirs = {}, {}
+    # A new OpenCV eliminates the poses, too; dense is what its default was in 4.11 (cubic in the views).
+    print(f"\n\nCPU ms, 70 corners a view: ours, mrcal, cv2 {cv2.__version__}, cv2 dense", file=sys.stderr)
+    ours = {}
     for views in (30, 80, 300):
         points, corners = board_corners(TRUTH, np.random.default_rng(0), views=views, bow_mm=BOW_MM, board=(10, 7),
                                         square_mm=30)
         whole_solve(corners, points)
-        ours[views] = cpu_ms(lambda p=points, c=corners: whole_solve(c, p), 9)
+        ours[views] = cpu_ms(lambda p=points, c=corners: whole_solve(c, p), 15)
         lens, boards = start(corners, points, SIZE, "brown4")
         file = tmp_path / f"{views}.npz"
         np.savez(file, xy=corners.reshape(views, 7, 10, 2), points=points, start=lens.parameters, size=np.array(SIZE),
                  spacing=30.0, poses=boards.poses)
         peer = mrcal(MRCAL_BOARD, str(file))
-        theirs[views] = cpu_ms(lambda p=points, c=corners: opencv(c, p), 1)
-        print(f"{views:5d}  {ours[views]:7.1f}  {peer['ms'] if peer else np.nan:8.1f}  {theirs[views]:8.0f}", file=sys.stderr)
-        assert peer is None or ours[views] < peer["ms"]
+        theirs = cpu_ms(lambda p=points, c=corners: opencv(c, p), 3)
+        dense = cpu_ms(lambda p=points, c=corners: opencv(c, p, cv2.CALIB_DISABLE_SCHUR_COMPLEMENT), 1)
+        print(f"{views:5d} views  {ours[views]:7.1f}  {peer['ms'] if peer else np.nan:7.1f}  {theirs:7.1f}  {dense:8.0f}",
+              file=sys.stderr)
+        assert ours[views] < theirs and (peer is None or ours[views] < peer["ms"])
     assert ours[300] < 12 * ours[30]  # linear would be 10
-    assert theirs[300] > 100 * ours[300]
+    assert dense > 100 * ours[300]
 
 
 def test_same_optimum_as_opencv_on_real_views(real):
