@@ -87,5 +87,6 @@ class Ledger:
         cameras = self._said["camera"]
         conditions = {name: span(name) for name in ("exposure_s", "temperature_c", "date_obs")}
         depth = None if self.first.range_assumed else self.first.bit_depth
-        conditions |= {"gain_setting": self.first.gain_setting, "bit_depth": depth, "camera": ", ".join(sorted(cameras)) or None}
+        conditions |= {"gain_setting": self.first.gain_setting, "bit_depth": depth,
+                       "camera": ", ".join(sorted(cameras)) or None}
         return Provenance(inputs=self.inputs, settings=dataclasses.asdict(self._settings), conditions=conditions)

@@ -41,5 +41,6 @@ def transmission(lens: Lens, rays: np.ndarray, rng: np.random.Generator) -> np.n
         x, y = rng.uniform(0, width), rng.uniform(0, height)
         radius, depth = rng.uniform(5, 14), rng.uniform(0.01, 0.05)
         # The blurred disc that a grain throws in a fast beam: flat inside, soft at its rim.
-        out *= 1 - depth / (1 + np.exp((np.hypot(cols - x, rows - y) - radius) / 1.5))
+        rim = np.minimum((np.hypot(cols - x, rows - y) - radius) / 1.5, 700)  # exp overflows beyond
+        out *= 1 - depth / (1 + np.exp(rim))
     return out
