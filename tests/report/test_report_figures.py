@@ -27,8 +27,7 @@ def test_projection_uncertainty_is_what_random_lenses_show():
     rng = np.random.default_rng(3)
     xy = grid_px(LENS.image_size_px, 8, 6)
     whole, rest = _lens.projection_sd_px(LENS, xy)
-    rays = np.column_stack([(xy[:, 0] - LENS.cx_px) / LENS.fx_px, (xy[:, 1] - LENS.cy_px) / LENS.fy_px, np.ones(len(xy))])
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = projection.unproject(LENS, xy)
     at, by_ray, _ = projection.project_with_jacobian(LENS, rays)
     by_turn = (by_ray @ -rotation.skew(rays)).reshape(-1, 3)
     shifts = np.array([projection.project(disturbed(rng), rays) - at for _ in range(3000)])
@@ -45,6 +44,43 @@ def test_distortion_parts_add_up_to_the_lens():
     rays = np.column_stack([(xy - [LENS.cx_px, LENS.cy_px]) / [LENS.fx_px, LENS.fy_px], np.ones(len(xy))])
     assert xy + radial + tangential == pytest.approx(projection.project(LENS, rays), abs=1e-9)
     assert 0 < np.hypot(*tangential.T).max() < 3 < np.hypot(*radial.T).max()
+
+
+def test_thin_prism_terms_count_as_tangential():
+    prism = np.array([1e-3, -2e-3, 1.5e-3, 5e-4])
+    lens = dataclasses.replace(LENS, model="thin_prism12", distortion=np.r_[-0.2, np.zeros(7), prism], covariance=np.eye(16))
+    xy = grid_px(LENS.image_size_px, 7, 5)
+    x, y = ((xy - [lens.cx_px, lens.cy_px]) / [lens.fx_px, lens.fy_px]).T
+    r2 = x**2 + y**2
+    shift = np.column_stack([lens.fx_px * (prism[0] * r2 + prism[1] * r2**2), lens.fy_px * (prism[2] * r2 + prism[3] * r2**2)])
+    radial, tangential = _lens._parts(lens, xy)
+    assert tangential == pytest.approx(shift, abs=1e-9)
+    assert radial == pytest.approx(-0.2 * r2[:, None] * (xy - [lens.cx_px, lens.cy_px]), abs=1e-9)
+
+
+def test_a_fisheye_past_90_degrees_is_compared_with_the_equidistant_one():
+    lens = Intrinsics(model="fisheye4", fx_px=180.0, fy_px=180.0, cx_px=320.0, cy_px=240.0, image_size_px=(640, 480),
+                      distortion=np.array([-0.01, 0, 0, 0]), covariance=np.diag(np.full(8, 1e-3)) ** 2)
+    radial, tangential = _lens._parts(lens, np.array([[320.0, 60.0], [640.0, 240.0]]))  # 1 rad up, 101.9 degrees to the right
+    assert radial == pytest.approx(np.array([[0, 1.8], [-1.8 * (320 / 180) ** 3, 0]]))
+    assert not tangential.any()
+    field, curve = _lens.distortion(lens)
+    assert "k1, k2, k3, k4" in field.reading and "tangential" not in field.reading
+    assert curve.reading.startswith("Barrel") and "127.3 degrees" in curve.reading
+
+
+def test_the_trusted_region_is_the_share_of_the_image_up_to_a_tenth_of_a_pixel():
+    sd = _lens.projection_sd_px(LENS, grid_px(LENS.image_size_px, *_lens.FIELD))[1]
+    share = 100 * np.mean(sd <= 0.1)
+    assert 5 < share < 95
+    assert f"{share:.1f} % of the image" in _lens.uncertainty(LENS).reading
+
+
+def test_pixels_beyond_the_fold_have_no_uncertainty():
+    folding = dataclasses.replace(LENS, distortion=np.array([-1.6, 0, 0, 0]))
+    _, rest = _lens.projection_sd_px(folding, grid_px(LENS.image_size_px, 9, 7))
+    assert np.isnan(rest[0]) and np.isfinite(rest[31])
+    assert _lens.uncertainty(folding) is not None
 
 
 def test_shape_of_a_turned_ellipse():

@@ -47,10 +47,17 @@ def lens() -> Intrinsics:
 def lens_measurement(rng: np.random.Generator) -> Measurement:
     corners = rng.uniform([5, 5], [90, 60], (120, 2))
     inlier = np.arange(120) > 2
+    residual = rng.normal(0, 0.05, (120, 2))
+    residual[119] = 0.6, -0.8  # of the last view
+    board_mm = np.column_stack([a.ravel() for a in np.meshgrid(np.arange(6) * 10.0, np.arange(5) * 10.0)] + [np.zeros(30)])
+    poses = np.array([[0, 0, 0, -25, -20, 300], [0.5, 0, 0, 0, 0, 400], [0, -0.3, 0, 0, 0, 500], [0, 0.2, 0, 0, 0, 600]])
     return Measurement(
         name="intrinsics", image_size_px=SIZE, intrinsics=lens(), frames_used=4,
-        quantities=(Quantity(name="rms_px", value=0.05, unit="px", source="over inliers"),),
-        evidence={"corners_xy_px": corners, "residual_px": rng.normal(0, 0.05, (120, 2)), "inlier": inlier,
+        quantities=(Quantity(name="rms_px", value=0.05, unit="px", source="over inliers"),
+                    Quantity(name="held_out_rms_px", value=0.06, unit="px", source="over inliers")),
+        evidence={"corners_xy_px": corners, "residual_px": residual, "inlier": inlier, "poses": poses,
+                  "corners_view": np.repeat(np.arange(4), 30), "corners_board_mm": np.tile(board_mm, (4, 1)),
+                  "held_out_rms_by_model_px": np.array([0.09, 0.06, np.inf]),
                   "uncertainty_classical": np.full(11, 0.1), "view_rms_px": np.array([0.04, 0.05, 0.06, 0.31]),
                   "coverage_count": np.histogram2d(*corners.T[::-1], bins=(6, 8), range=((0, H), (0, W)))[0].astype(int)},
         provenance=Provenance(inputs={"boards/a.png": "ab" * 32},
@@ -232,6 +239,24 @@ def test_readings_follow_the_data(story):
 def test_a_section_without_its_measurement_is_left_out(story, name):
     left = {k: v for k, v in story.measurements.items() if k != name}
     assert registry.load(SECTIONS, name).render(dataclasses.replace(story, measurements=left)) is None
+
+
+def test_views_are_listed_from_the_worst_with_where_the_board_stood(story):
+    section = registry.load(SECTIONS, "intrinsics").render(story)
+    (views,) = (t for t in section.tables if t.title.startswith("Views"))
+    assert [row[0] for row in views.rows] == ["blurred", "v3", "v2", "v1"]
+    assert views.rows[0][1:6] == ("30", "0", "0.310", "1", "11.5")  # 0.2 rad
+    assert views.rows[3][1:3] == ("27", "3") and views.rows[3][5:] == ("0.0", "300")
+    (stood,) = (f for f in section.figures if f.title.startswith("Where the board stood"))
+    assert "worst view, blurred" in stood.reading and "0.0 to 28.6 degrees" in stood.reading
+
+
+def test_held_out_rms_stands_beside_the_training_rms(story):
+    section = registry.load(SECTIONS, "intrinsics").render(story)
+    (held_out,) = (t for t in section.tables if t.title.startswith("Training"))
+    assert held_out.rows == (("brown4", "–", "0.09000", "1.500"), ("brown5 (used)", "0.05000", "0.06000", "1"),
+                             ("rational8", "–", "–", "–"))
+    assert "1.20 times the training rms" in held_out.note
 
 
 def test_an_empty_story_is_a_short_report(story):

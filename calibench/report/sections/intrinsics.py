@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...measure.intrinsics import CANDIDATE_MODELS
 from ...records import Intrinsics, Measurement
-from ..draw import BLUE, FAINT, GREY, HALF, INK, ORANGE, OUTLINED, png, sensor_axes, sensor_sheet, sheet
-from ..numbers import ARCSEC, number, percent, plural, rounded_like, sentence, sigma
+from ..draw import BLUE, INK, ORANGE, OUTLINED, png, sensor_axes, sensor_sheet
+from ..numbers import ARCSEC, MISSING, number, percent, plural, rounded_like, sentence, sigma
 from ..section import Figure, Section, Table
 from ..story import Story
 from ..tables import quantity_table
-from . import _lens
+from . import _lens, _views
 
 ORDER = 20
 TITLE = "Lens: intrinsics"
-MOST_NAMED_VIEWS = 40
 QUIVER_SHARE = 0.06  # of the image's width: the length of a typical residual's arrow
 
 
@@ -24,10 +24,12 @@ def render(story: Story) -> Section | None:
         return None
     lens = measurement.intrinsics
     others = [q for q in measurement.quantities if q.name not in lens.parameter_names]
-    figures = [*_lens.distortion(lens), _coverage(measurement), _residuals(measurement), _views(measurement),
-               _lens.uncertainty(lens)]
+    figures = [*_lens.distortion(lens), _views.board_poses(measurement), _coverage(measurement), _residuals(measurement),
+               _views.residuals(measurement), _lens.uncertainty(lens)]
+    tables = (_parameters(lens, measurement), quantity_table("How well the lens fits", others), _held_out(lens, measurement),
+              _views.listing(measurement))
     return Section(paragraphs=(_summary(lens, measurement),), warnings=measurement.warnings,
-                   tables=(_parameters(lens, measurement), quantity_table("How well the lens fits", others)),
+                   tables=tuple(t for t in tables if t is not None),
                    figures=tuple(f for f in figures if f is not None))
 
 
@@ -50,6 +52,25 @@ def _parameters(lens: Intrinsics, measurement: Measurement) -> Table:
                      sigma(plain), number(ratio, 2), "px" if name.endswith("_px") else ""))
     columns = ("Parameter", "Value", "1σ clustered", "3σ clustered", "1σ classical", "Clustered / classical", "Unit")
     return Table(title="Lens parameters", columns=columns, rows=tuple(rows), numbers=frozenset(columns[1:6]))
+
+
+def _held_out(lens: Intrinsics, measurement: Measurement) -> Table | None:
+    """Training rms of the lens against the held-out rms of each model; None where no views were held out."""
+    given = {q.name: q.value for q in measurement.quantities}
+    training, held_out = given.get("rms_px"), given.get("held_out_rms_px")
+    by_model = measurement.evidence.get("held_out_rms_by_model_px")
+    if by_model is None or not training or not held_out:
+        return None
+    all_px = {**dict(zip(CANDIDATE_MODELS, by_model, strict=True)), lens.model: held_out}
+    rows = tuple((f"{model} (used)" if model == lens.model else model, number(training) if model == lens.model else MISSING,
+                  number(rms), number(rms / held_out)) for model, rms in all_px.items())
+    columns = ("Model", "Training rms (px)", "Held-out rms (px)", "Held-out / the used model's")
+    ratio = held_out / training
+    return Table(title="Training against held-out views", columns=columns, rows=rows, numbers=frozenset(columns[1:]),
+                 note=sentence(f"corners of views that the lens has not seen are missed by {number(ratio, 3)} times the "
+                               f"training rms of {lens.model}",
+                               "each half of the views is held out in turn, only its poses are fitted",
+                               f"{MISSING}: not kept for models that were not used, or not determined by half of the views"))
 
 
 def _coverage(measurement: Measurement) -> Figure | None:
@@ -93,24 +114,3 @@ def _residuals(measurement: Measurement) -> Figure | None:
                   reading=sentence(f"measured minus projected: median length {number(np.median(length[inlier]), 2)} px, "
                                    f"longest {number(length[inlier].max(), 2)} px",
                                    f"crossed out: {plural(outliers, 'outlier')} among {len(xy)} corners"))
-
-
-def _views(measurement: Measurement) -> Figure | None:
-    rms = measurement.evidence.get("view_rms_px")
-    if rms is None:
-        return None
-    files = measurement.provenance.settings.get("views", range(1, len(rms) + 1))
-    names = [str(file).replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0] for file in files]
-    made, (axes,) = sheet(HALF)
-    worst, median = int(np.argmax(rms)), np.median(rms)
-    axes.bar(range(len(rms)), rms, color=[ORANGE if i == worst else BLUE for i in range(len(rms))], width=0.7)
-    axes.axhline(median, color=GREY, linestyle="--", linewidth=1, label=f"median {number(median, 3)} px")
-    if len(rms) <= MOST_NAMED_VIEWS:
-        axes.set_xticks(range(len(rms)), names, rotation=60, ha="right", rotation_mode="anchor", fontsize=7)
-    axes.grid(axis="y", color=FAINT)
-    axes.set(xlabel="view", ylabel="rms of the residuals (px)", ylim=(0, 1.18 * rms.max()))
-    axes.legend(loc="upper right")
-    return Figure(title="Residual of each view", png=png(made),
-                  reading=f"The worst view, {names[worst]}, has {number(rms[worst], 3)} px, "
-                          f"{number(rms[worst] / median, 2)} times the median of "
-                          f"{number(median, 3)} px (all corners, outliers included).")

@@ -1,0 +1,131 @@
+"""What each view of the board says: where the board stood, its table from the worst view down, residuals view by view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry import rotation
+from ...records import Intrinsics, Measurement
+from ..draw import BLUE, FAINT, GREY, HALF, INK, ORANGE, WIDE, png, sheet
+from ..numbers import fixed, number, plural, sentence
+from ..section import Figure, Table
+
+MOST_NAMED_VIEWS = 40
+NEEDED = {"poses", "corners_view", "corners_board_mm", "residual_px", "inlier", "view_rms_px"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Stands:
+    """The board in camera axes: outline_mm (V, 4, 3), centre_mm (V, 3), tilt_rad (V,) of its normal from the optical axis."""
+
+    outline_mm: np.ndarray
+    centre_mm: np.ndarray
+    tilt_rad: np.ndarray
+
+    @property
+    def distance_mm(self) -> np.ndarray:
+        return np.linalg.norm(self.centre_mm, axis=1)
+
+
+def _stands(measurement: Measurement) -> _Stands | None:
+    """Where the board stood in each view; None where the evidence does not say."""
+    evidence = measurement.evidence
+    if not evidence.keys() >= NEEDED:
+        return None
+    turn, shift_mm = rotation.matrix_from_rotvec(evidence["poses"][:, :3]), evidence["poses"][:, None, 3:]
+    (x0, y0), (x1, y1) = (f(evidence["corners_board_mm"][:, :2], axis=0) for f in (np.min, np.max))
+    outline_mm = np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]]) @ np.swapaxes(turn, 1, 2) + shift_mm
+    return _Stands(outline_mm=outline_mm, centre_mm=outline_mm.mean(axis=1),
+                   tilt_rad=np.arccos(np.minimum(np.abs(turn[:, 2, 2]), 1)))
+
+
+def names(measurement: Measurement) -> list[str]:
+    """File names of the views, without folder and suffix; their numbers where no files are known."""
+    files = measurement.provenance.settings.get("views", range(1, len(measurement.evidence["view_rms_px"]) + 1))
+    return [str(file).replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0] for file in files]
+
+
+def listing(measurement: Measurement) -> Table | None:
+    """One row a view, the largest rms first."""
+    stands = _stands(measurement)
+    if stands is None:
+        return None
+    evidence, named = measurement.evidence, names(measurement)
+    rms, inlier = evidence["view_rms_px"], evidence["inlier"].astype(bool)
+    used, out = (np.bincount(evidence["corners_view"][chosen], minlength=len(rms)) for chosen in (inlier, ~inlier))
+    largest = np.zeros(len(rms))
+    np.maximum.at(largest, evidence["corners_view"], np.hypot(*evidence["residual_px"].T))
+    order = np.argsort(-rms)[:MOST_NAMED_VIEWS]
+    rows = tuple((named[i], str(used[i]), str(out[i]), number(rms[i], 3), number(largest[i], 3),
+                  fixed(np.degrees(stands.tilt_rad[i]), 1), fixed(stands.distance_mm[i], 0)) for i in order)
+    columns = ("View", "Corners used", "Left out", "rms (px)", "Largest residual (px)", "Tilt (degrees)", "Distance (mm)")
+    shown = f"the worst {len(order)} of {len(rms)} views" if len(order) < len(rms) else f"all {plural(len(rms), 'view')}"
+    return Table(title="Views, worst first", columns=columns, rows=rows, numbers=frozenset(columns[1:]),
+                 note=sentence(f"{shown}; rms and largest residual over all corners, those left out included",
+                               "tilt: the board's normal against the optical axis",
+                               "distance: from the camera to the middle of the board"))
+
+
+def board_poses(measurement: Measurement) -> Figure | None:
+    """The boards in camera axes, seen from above and from the side, with the edges of the field."""
+    stands = _stands(measurement)
+    if stands is None:
+        return None
+    rms = measurement.evidence["view_rms_px"]
+    worst = int(np.argmax(rms))
+    depth_mm = 1.06 * stands.outline_mm[..., 2].max()
+    made, both = sheet((WIDE[0], 4.2), columns=2)
+    for axis, axes in enumerate(both):
+        for view in sorted(range(len(rms)), key=lambda view: view == worst):
+            colour = ORANGE if view == worst else BLUE
+            axes.fill(stands.outline_mm[view, :, 2], stands.outline_mm[view, :, axis], facecolor=colour, alpha=0.12)
+            axes.fill(stands.outline_mm[view, :, 2], stands.outline_mm[view, :, axis], fill=False, edgecolor=colour,
+                      linewidth=1.8 if view == worst else 0.9)
+        for slope in _field_edges(measurement.intrinsics)[axis]:
+            axes.plot([0, depth_mm], [0, depth_mm * slope], color=GREY, linestyle=":", linewidth=1)
+        axes.plot(0, 0, "o", color=INK, markersize=5)
+        axes.grid(color=FAINT)
+        axes.set(aspect="equal", xlabel="depth z along the optical axis (mm)", xlim=(-0.04 * depth_mm, depth_mm),
+                 ylabel=("x, to the right (mm)", "y, down (mm)")[axis])
+        axes.set_title(("from above", "from the side")[axis])
+        axes.invert_yaxis()
+    tilt, distance_mm = np.degrees(stands.tilt_rad), stands.distance_mm
+    return Figure(title="Where the board stood, in camera axes", png=png(made), wide=True,
+                  reading=sentence(f"{plural(len(rms), 'view')} at {number(distance_mm.min(), 3)} to "
+                                   f"{number(distance_mm.max(), 3)} mm, tilted by {fixed(tilt.min(), 1)} to "
+                                   f"{fixed(tilt.max(), 1)} degrees (median {fixed(np.median(tilt), 1)})",
+                                   f"orange: the worst view, {names(measurement)[worst]}, at "
+                                   f"{number(distance_mm[worst], 3)} mm and {fixed(tilt[worst], 1)} degrees",
+                                   "dot: the camera, dotted: the edges of its field without distortion"))
+
+
+def _field_edges(lens: Intrinsics) -> np.ndarray:
+    """(2, 2): x/z at the left and right edge, y/z at the top and bottom one, of a lens without distortion."""
+    at = [lens.cx_px, lens.cy_px]
+    edges = np.column_stack([-np.array(at), np.array(lens.image_size_px) - 1 - at]) / [[lens.fx_px], [lens.fy_px]]
+    if lens.is_fisheye:
+        edges = np.tan(np.clip(edges, -1.4, 1.4))
+    return edges * [[-1 if lens.mirrored else 1], [1]]
+
+
+def residuals(measurement: Measurement) -> Figure | None:
+    """Bars: the rms of each view."""
+    rms = measurement.evidence.get("view_rms_px")
+    if rms is None:
+        return None
+    named = names(measurement)
+    made, (axes,) = sheet(HALF)
+    worst, median = int(np.argmax(rms)), np.median(rms)
+    axes.bar(range(len(rms)), rms, color=[ORANGE if i == worst else BLUE for i in range(len(rms))], width=0.7)
+    axes.axhline(median, color=GREY, linestyle="--", linewidth=1, label=f"median {number(median, 3)} px")
+    if len(rms) <= MOST_NAMED_VIEWS:
+        axes.set_xticks(range(len(rms)), named, rotation=60, ha="right", rotation_mode="anchor", fontsize=7)
+    axes.grid(axis="y", color=FAINT)
+    axes.set(xlabel="view", ylabel="rms of the residuals (px)", ylim=(0, 1.18 * rms.max()))
+    axes.legend(loc="upper right")
+    return Figure(title="Residual of each view", png=png(made),
+                  reading=f"The worst view, {named[worst]}, has {number(rms[worst], 3)} px, "
+                          f"{number(rms[worst] / median, 2)} times the median of "
+                          f"{number(median, 3)} px (all corners, outliers included).")
