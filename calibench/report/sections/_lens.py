@@ -157,12 +157,14 @@ def uncertainty(lens: Intrinsics) -> Figure | None:
         x, y = xy_px.T.reshape(2, *FIELD[::-1])
         lines = axes.contour(x, y, field, levels=5, colors="white", linewidths=0.6)
         axes.clabel(lines, fontsize=7, fmt="%.3g")
-        if np.nanmin(sd) < TRUSTED_PX < np.nanmax(sd):
+        bounded = np.nanmin(sd) < TRUSTED_PX < np.nanmax(sd)
+        if bounded:
             edge = axes.contour(x, y, field, levels=[TRUSTED_PX], colors=ORANGE, linewidths=2)
-            axes.clabel(edge, fontsize=8, fmt=f"{TRUSTED_PX:g} px", colors=ORANGE)[0].set_path_effects(OUTLINED)
+            for label in axes.clabel(edge, fontsize=8, fmt=f"{TRUSTED_PX:g} px", colors=ORANGE):
+                label.set_path_effects(OUTLINED)
         typical, worst = np.nanmedian(sd), np.nanmax(sd)
         said.append(f"{title}: median {number(typical, 2)} px ({number(typical * arcsec_per_px, 2)} arcsec), worst "
-                    f"{number(worst, 2)} px ({number(worst * arcsec_per_px, 2)} arcsec), trusted (1σ up to {TRUSTED_PX:g} px, "
-                    f"orange line) {percent(np.mean(sd <= TRUSTED_PX))} of the image")
+                    f"{number(worst, 2)} px ({number(worst * arcsec_per_px, 2)} arcsec), trusted (1σ up to {TRUSTED_PX:g} px"
+                    f"{', orange line' if bounded else ''}) {percent(np.mean(sd <= TRUSTED_PX))} of the image")
     return Figure(title="Uncertainty of the projection of stars (at infinity), 1σ", png=png(made), wide=True,
                   reading=sentence(*said, "what a common turn takes up goes into the attitude, the rest stays in the stars"))

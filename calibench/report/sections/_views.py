@@ -8,7 +8,7 @@ import numpy as np
 
 from ...geometry import rotation
 from ...records import Intrinsics, Measurement
-from ..draw import BLUE, FAINT, GREY, HALF, INK, ORANGE, WIDE, png, sheet
+from ..draw import BELOW_IN, BLUE, FAINT, GREY, HALF, INK, LABELS_IN, ORANGE, TALLEST_IN, TITLE_IN, WIDE, png, sheet
 from ..numbers import fixed, number, plural, sentence
 from ..section import Figure, Table
 
@@ -76,7 +76,9 @@ def board_poses(measurement: Measurement) -> Figure | None:
     rms = measurement.evidence["view_rms_px"]
     worst = int(np.argmax(rms))
     depth_mm = 1.06 * stands.outline_mm[..., 2].max()
-    made, both = sheet((WIDE[0], 4.2), columns=2)
+    reach_mm = 1.1 * np.abs(stands.outline_mm[..., :2]).max()
+    panel_in = WIDE[0] / 2 - LABELS_IN
+    made, both = sheet((WIDE[0], min(panel_in * 2 * reach_mm / depth_mm + BELOW_IN + TITLE_IN, TALLEST_IN)), columns=2)
     for axis, axes in enumerate(both):
         for view in sorted(range(len(rms)), key=lambda view: view == worst):
             colour = ORANGE if view == worst else BLUE
@@ -88,9 +90,8 @@ def board_poses(measurement: Measurement) -> Figure | None:
         axes.plot(0, 0, "o", color=INK, markersize=5)
         axes.grid(color=FAINT)
         axes.set(aspect="equal", xlabel="depth z along the optical axis (mm)", xlim=(-0.04 * depth_mm, depth_mm),
-                 ylabel=("x, to the right (mm)", "y, down (mm)")[axis])
+                 ylim=(reach_mm, -reach_mm), ylabel=("x, to the right (mm)", "y, down (mm)")[axis])
         axes.set_title(("from above", "from the side")[axis])
-        axes.invert_yaxis()
     tilt, distance_mm = np.degrees(stands.tilt_rad), stands.distance_mm
     return Figure(title="Where the board stood, in camera axes", png=png(made), wide=True,
                   reading=sentence(f"{plural(len(rms), 'view')} at {number(distance_mm.min(), 3)} to "
