@@ -15,10 +15,22 @@ from ..errors import BadInput
 from ..records import DEFECT_FLAGS, UNUSABLE, CalibrationMap, CorrectedFrame, Frame
 from .conditions import outside_conditions, unchecked_conditions
 
-__all__ = ["correct", "interpolate_defects", "outside_conditions", "unchecked_conditions"]
+__all__ = ["correct", "interpolate_defects", "outside_conditions", "require_size", "unchecked_conditions"]
 
 # Variance of rounding to whole DN (EMVA 1288, sigma_q^2).
 QUANTISATION_DN2 = 1 / 12
+
+
+def require_size(frame: Frame, calmap: CalibrationMap) -> None:
+    """Refuse a frame of another size than the map's.
+
+    Raises:
+        BadInput: with both sizes.
+    """
+    if frame.image_size_px != calmap.image_size_px:
+        (w, h), (map_w, map_h) = frame.image_size_px, calmap.image_size_px
+        raise BadInput(f"the frame is {w} x {h} pixels, the map {map_w} x {map_h}", file=frame.file or None,
+                       mend="use the map of this camera at this binning and window")
 
 
 def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
@@ -36,10 +48,7 @@ def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
     Raises:
         BadInput: the frame has another size than the map.
     """
-    if frame.image_size_px != calmap.image_size_px:
-        (w, h), (map_w, map_h) = frame.image_size_px, calmap.image_size_px
-        raise BadInput(f"the frame is {w} x {h} pixels, the map {map_w} x {map_h}", file=frame.file or None,
-                       mend="use the map of this camera at this binning and window")
+    require_size(frame, calmap)
     warnings = list(unchecked_conditions(frame, calmap))
 
     charge_dn = frame.data.astype(np.float32) - calmap.offset_dn

@@ -54,7 +54,7 @@ def apply(map_: MapArgument,
                                  typer.Option("--interpolate", help="Fill unusable pixels by their neighbours.")] = False,
           json_: Json = False) -> None:
     """Correct frames: signal, variance and defect mask as three extensions of a FITS file."""
-    from ..calmap.correct import correct, interpolate_defects, outside_conditions
+    from ..calmap.correct import correct, interpolate_defects, outside_conditions, require_size
     from ..io.atomic import make_folder
     from ..io.corrected_writer import write_corrected
     from ..io.frames import find_frames, read_frame
@@ -72,7 +72,7 @@ def apply(map_: MapArgument,
             if outside and not force:
                 raise BadInput("the map does not hold for this frame: " + "; ".join(outside), file=path,
                                mend="use a map made under these conditions, or --force")
-            correct(frame, calmap)
+            require_size(frame, calmap)
         make_folder(out)
         for i, path in enumerate(paths):
             frame = read_frame(path)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BadInput
-from ..records import CalibrationMap, Frame, Intrinsics, Measurement, Quantity
+from ..records import CalibrationMap, Frame, Measurement, Quantity
 from . import _board_lens as board_lens
 from ._board_lens import CANDIDATE_MODELS, MIN_VIEWS, MIN_VIEWS_FOR_BOW, MIN_VIEWS_FOR_HALVES
 from ._bundle import covariance
@@ -25,6 +25,7 @@ from ._bundle.adjust import Solution
 from ._bundle.outliers import Rejection
 from ._bundle.start import TILT as TILT_ADVICE
 from ._ledger import Ledger
+from ._lens_figures import lens_quantities
 from .corners import _views as corner
 from .corners._target import Target
 
@@ -34,6 +35,7 @@ MIN_TILT_SPREAD_RAD = np.radians(5)
 MAX_RELATIVE_FOCAL_SD = 0.05
 COVERAGE_CELLS = (8, 6)
 
+LENS_SOURCE = "OpenCV camera model, integer pixel = pixel centre; uncertainty clustered by view (CR2) as far as needed"
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
@@ -93,7 +95,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     provenance = ledger.provenance()
     return Measurement(
         name="intrinsics", image_size_px=size, intrinsics=intrinsics,
-        quantities=(*_lens_quantities(intrinsics), *_bow_quantities(solution, recommended),
+        quantities=(*lens_quantities(intrinsics, LENS_SOURCE), *_bow_quantities(solution, recommended),
                     *_fit_quantities(solution, corners[kept], held_out.get(model), len(ledger.inputs))),
         evidence=_evidence(solution, corners[kept], size) | {
             "corners_covariance_px2": corners_covariance_px2[kept][np.isfinite(corners[kept]).all(axis=-1)],
@@ -205,14 +207,6 @@ def _coverage(xy_px: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Number of corners in each of COVERAGE_CELLS (columns, rows) cells of the image, as (rows, columns)."""
     edges = [np.linspace(-0.5, n - 0.5, cells + 1) for n, cells in zip(size, COVERAGE_CELLS, strict=True)]
     return np.histogram2d(xy_px[:, 1], xy_px[:, 0], bins=edges[::-1])[0].astype(np.int64)
-
-
-def _lens_quantities(intrinsics: Intrinsics) -> list[Quantity]:
-    opencv = "OpenCV camera model, integer pixel = pixel centre; uncertainty clustered by view (CR2) as far as needed"
-    sd = np.sqrt(np.diag(intrinsics.covariance))
-    return [Quantity(name=name, value=float(value), unit="px" if name.endswith("_px") else "1",
-                     symbol=name.removesuffix("_px"), uncertainty=float(error), source=opencv)
-            for name, value, error in zip(intrinsics.parameter_names, intrinsics.parameters, sd, strict=True)]
 
 
 def _bow_quantities(solution: Solution, recommended: np.ndarray) -> list[Quantity]:

@@ -20,12 +20,14 @@ from ..records import CalibrationMap, Identification, Intrinsics, Measurement, P
 from ._board_lens import best_model, refused_warning
 from ._bundle import covariance
 from ._bundle.outliers import Rejection
+from ._lens_figures import lens_quantities
 from ._star_solve import MIN_FRAMES, HeldOut, StarSolution, held_out, solve
 
 MIN_STARS = 4  # of a frame: three more coordinates than its attitude takes
 MIN_FRAMES_TO_HOLD_OUT = 4
 CANDIDATE_MODELS = ("pinhole", "brown4", "brown5", "rational8")
 FEWEST_TERMS = 2  # candidates that are kept where nothing can be held out
+LENS_SOURCE = "OpenCV camera model, integer pixel = pixel centre, from stars; uncertainty clustered by frame as far as needed"
 RMS = "sqrt(mean(dx^2 + dy^2))"
 
 
@@ -74,7 +76,7 @@ def measure(frames: Iterable[Identification], settings: Settings | None = None,
     names = [name for name, keep in zip(names, solved.kept, strict=True) if keep]
     return Measurement(
         name="star_lens", image_size_px=first.image_size_px, intrinsics=intrinsics,
-        quantities=(*_lens_quantities(intrinsics), *_fit_quantities(solved, held.get(model), len(given))),
+        quantities=(*lens_quantities(intrinsics, LENS_SOURCE), *_fit_quantities(solved, held.get(model), len(given))),
         evidence=_evidence(solved) | {
             "uncertainty_classical": np.sqrt(np.diag(classical)),
             "held_out_rms_by_model_px": np.array([_rms(held[m].square_px2) if held else np.nan for m in CANDIDATE_MODELS])},
@@ -110,14 +112,6 @@ def _choose_model(first: Intrinsics, found: Sequence[Identification], settings: 
 
 def _rms(square_px2: np.ndarray) -> float:
     return float(np.sqrt(square_px2.mean()))
-
-
-def _lens_quantities(intrinsics: Intrinsics) -> list[Quantity]:
-    source = "OpenCV camera model, integer pixel = pixel centre, from stars; uncertainty clustered by frame as far as needed"
-    sd = np.sqrt(np.diag(intrinsics.covariance))
-    return [Quantity(name=name, value=float(value), unit="px" if name.endswith("_px") else "1",
-                     symbol=name.removesuffix("_px"), uncertainty=float(error), source=source)
-            for name, value, error in zip(intrinsics.parameter_names, intrinsics.parameters, sd, strict=True)]
 
 
 def _fit_quantities(solved: StarSolution, held: HeldOut | None, views_given: int) -> list[Quantity]:

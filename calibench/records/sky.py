@@ -38,6 +38,13 @@ class Spots:
                **{f: frozen(getattr(self, f), name=f"Spots.{f}", shape=(n,), dtype=float)
                   for f in ("flux_e", "background_dn", "peak_dn")})
 
+    @classmethod
+    def none(cls) -> Spots:
+        """No spots."""
+        nothing = np.zeros(0)
+        return cls(xy_px=np.zeros((0, 2)), covariance_px2=np.zeros((0, 2, 2)), flux_e=nothing, background_dn=nothing,
+                   peak_dn=nothing, pixels=nothing, flags=nothing)
+
     def __len__(self) -> int:
         return len(self.xy_px)
 
@@ -149,3 +156,9 @@ class Attitude:
         settle(self, q_cam_icrs=frozen(self.q_cam_icrs, name="Attitude.q_cam_icrs", shape=(4,), dtype=float),
                covariance_rad2=frozen(self.covariance_rad2, name="Attitude.covariance_rad2", shape=(3, 3), dtype=float),
                residual_px=frozen(self.residual_px, name="Attitude.residual_px", shape=(None, 2), dtype=float))
+
+    @classmethod
+    def unsolved(cls, *, status: str, method: str, reason: str) -> Attitude:
+        """No attitude: the identity, with infinite covariance, and the reason."""
+        return cls(status=status, method=method, q_cam_icrs=np.array([0.0, 0.0, 0.0, 1.0]),
+                   covariance_rad2=np.full((3, 3), np.inf), reason=reason)

@@ -1,4 +1,4 @@
-"""Frames for one measurement, from files and folders named by hand."""
+"""Frames from files and folders, and the one rule for leaving a frame out."""
 
 from __future__ import annotations
 
@@ -12,6 +12,20 @@ from ..records import Frame
 
 MIXTURES = {"dark": {"dark"}, "flat": {"flat", "dark"}, "light": {"light"}}
 SWAPPED = "states that it is a {stated} frame, which this measurement does not take: are the folders swapped?"
+
+
+def read_or_reason(path: Path, kind: str, *, named: bool) -> Frame | BadInput:
+    """The frame, or why it cannot be used. kind: what it is taken for if it does not say.
+
+    Raises:
+        Contradiction: its sources exclude each other. BadInput: it was named outright and cannot be read.
+    """
+    try:
+        return read_frame(path, kind)
+    except BadInput as fault:
+        if named or isinstance(fault, Contradiction):
+            raise
+        return fault
 
 
 def read_arguments(arguments: Sequence[Path], paths: Sequence[Path], kind: str, tell: Callable[[int], None],
@@ -29,15 +43,16 @@ def read_arguments(arguments: Sequence[Path], paths: Sequence[Path], kind: str, 
     frames, rejected = [], []
     for i, path in enumerate(paths):
         tell(i)
-        try:
-            frame = read_frame(path, kind)
-            if frame.kind not in MIXTURES[kind] | {"unknown"}:
-                raise BadInput(SWAPPED.format(stated=frame.kind), file=path, mend="correct the frame's kind, or leave it out")
+        must = path.resolve() in named
+        frame = read_or_reason(path, kind, named=must)
+        if isinstance(frame, Frame) and frame.kind not in MIXTURES[kind] | {"unknown"}:
+            frame = BadInput(SWAPPED.format(stated=frame.kind), file=path, mend="correct the frame's kind, or leave it out")
+            if must:
+                raise frame
+        if isinstance(frame, BadInput):
+            rejected.append((str(path), frame.what))
+        else:
             frames.append(frame)
-        except BadInput as fault:
-            if path.resolve() in named or isinstance(fault, Contradiction):
-                raise
-            rejected.append((str(path), fault.what))
     if not frames:
         raise BadInput("no frame could be used:" + "".join(f"\n  {file}: {why}" for file, why in rejected))
     return check_series(frames), rejected

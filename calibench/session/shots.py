@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import BadInput, Contradiction
-from ..io.frames import find_frames, read_frame
+from ..errors import BadInput
+from ..io.frames import find_frames
 from ..io.series_checks import check_series
 from ..records import Frame
 from ..report.story import ShotStory
 from .places import SESSION_FILE
 from .protocol import Protocol, Shot, load_protocol
+from .reading import read_or_reason
 
 WRONG_KIND = "states that it is a {stated} frame, but lies among the {shot} ({wanted} frames): are the folders swapped?"
 
@@ -54,14 +55,10 @@ def read_shot(session: Path, shot: Shot) -> tuple[list[Frame], list[tuple[str, s
     """
     frames, rejected = [], []
     for path in shot_files(session, shot):
-        try:
-            frame = read_frame(path, shot.kind)
-        except Contradiction:
-            raise
-        except BadInput as fault:
-            rejected.append((path.name, fault.what))
-            continue
-        if frame.kind != shot.kind:
+        frame = read_or_reason(path, shot.kind, named=False)
+        if isinstance(frame, BadInput):
+            rejected.append((path.name, frame.what))
+        elif frame.kind != shot.kind:
             rejected.append((path.name, WRONG_KIND.format(stated=frame.kind, shot=shot.name, wanted=shot.kind)))
         else:
             frames.append(frame)

@@ -7,18 +7,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 
-import numpy as np
-
 from ..calmap.correct import correct, outside_conditions
-from ..errors import BadInput, Contradiction
-from ..io.frames import read_frame
+from ..errors import BadInput
 from ..io.observer import observer_at
 from ..io.star_table import load_star_table
 from ..records import Attitude, CalibrationMap, Frame, Identification, Observer, Spots, StarTable
 from ..stars.lost_in_space import LostInSpace
 from ..stars.sky_catalogue import SkyCatalogue
-from ..stars.solve import Solution, Solver
-from ..validate.trials.ablation import lens_of
+from ..stars.solve import Lens, Solution, Solver
+from .reading import read_or_reason
 
 
 @dataclass
@@ -54,22 +51,17 @@ class Sky:
         corrected = correct(frame, layers)
         timings = {"read": read_s, "correct": perf_counter() - start}
         solver = Solver(finder=self.finder(frame.date_obs), familiar=self.familiar, **(settings or {}))
-        solution = solver.solve(corrected, lens_of(layers, fov_rad))
+        solution = solver.solve(corrected, Lens.of(layers, fov_rad))
         return SolvedFrame(frame=frame, solution=replace(solution, timings_s=timings | solution.timings_s),
                            outside=outside_conditions(frame, layers), warnings=corrected.warnings)
 
 
 def _unread(path: Path, fault: BadInput, method: str) -> SolvedFrame:
-    nothing = np.zeros(0)
-    spots = Spots(xy_px=np.zeros((0, 2)), covariance_px2=np.zeros((0, 2, 2)), flux_e=nothing, background_dn=nothing,
-                  peak_dn=nothing, pixels=nothing, flags=nothing)
     reason = f"cannot be read: {fault.what}"
-    attitude = Attitude(status="rejected", method=method, q_cam_icrs=np.array([0.0, 0.0, 0.0, 1.0]),
-                        covariance_rad2=np.full((3, 3), np.inf), reason=reason)
-    found = Identification(status="rejected", method=method, reason=reason)
     stages = ("read", "correct", "detect", "identify", "attitude")
-    solution = Solution(file=str(path), spots=spots, identification=found, attitude=attitude,
-                        timings_s=dict.fromkeys(stages, 0.0))
+    solution = Solution(file=str(path), spots=Spots.none(), timings_s=dict.fromkeys(stages, 0.0),
+                        identification=Identification(status="rejected", method=method, reason=reason),
+                        attitude=Attitude.unsolved(status="rejected", method=method, reason=reason))
     return SolvedFrame(frame=None, solution=solution)
 
 
@@ -96,13 +88,8 @@ def solve_files(paths: Iterable[Path], sky: Sky, calmap: CalibrationMap | None, 
     """
     for path in paths:
         start = perf_counter()
-        try:
-            frame = read_frame(path, "light")
-        except Contradiction:
-            raise
-        except BadInput as fault:
-            if named is None or path in named:
-                raise
-            yield _unread(path, fault, sky.method)
+        frame = read_or_reason(path, "light", named=named is None or path in named)
+        if isinstance(frame, BadInput):
+            yield _unread(path, frame, sky.method)
             continue
         yield sky.solve(frame, calmap, fov_rad=fov_rad, settings=settings, read_s=perf_counter() - start)

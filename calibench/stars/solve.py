@@ -15,14 +15,12 @@ import numpy as np
 
 from .. import registry
 from ..geometry import projection, rotation, sphere
-from ..records import Attitude, CorrectedFrame, Identification, Intrinsics, PsfMap, Spots
+from ..records import Attitude, CalibrationMap, CorrectedFrame, Identification, Intrinsics, PsfMap, Spots
 from ..spots.find import find_spots
 from .lens_error import systematic
 from .lost_in_space import LostInSpace
 from .verify import CALIBRATED_MODEL_SD_PX, GUESSED_MODEL_SD_PX
 from .view import horizontal_fov
-
-IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +30,12 @@ class Lens:
     intrinsics: Intrinsics | None = None
     psf: PsfMap | None = None
     fov_rad: float | None = None
+
+    @classmethod
+    def of(cls, calmap: CalibrationMap, fov_rad: float | None = None) -> Lens:
+        """What a map knows; its unmeasured layers are None here, so that solving falls back to a guess knowingly."""
+        return cls(intrinsics=calmap.intrinsics if "intrinsics" in calmap.measured else None,
+                   psf=calmap.psf if "psf" in calmap.measured else None, fov_rad=fov_rad)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,8 +102,7 @@ class Solver:
             if lens.intrinsics is None:
                 self.familiar[size] = found.intrinsics
         else:
-            attitude = Attitude(status=found.status, method=self.attitude_method, q_cam_icrs=IDENTITY,
-                                covariance_rad2=np.full((3, 3), np.inf), reason=found.reason)
+            attitude = Attitude.unsolved(status=found.status, method=self.attitude_method, reason=found.reason)
         clock.append(perf_counter())
         timings = dict(zip(("detect", "identify", "attitude"), np.diff(clock).tolist(), strict=True))
         solution = Solution(file=corrected.file, spots=spots, identification=found, attitude=attitude, timings_s=timings)

@@ -34,13 +34,12 @@ GUESSED_MODEL_SD_PX, CALIBRATED_MODEL_SD_PX = 0.15, 0.03
 
 @dataclass(frozen=True, kw_only=True)
 class Match:
-    """spot_rows, star_rows (M,); refined fit; false_match_probability; radius_px of the last matching."""
+    """spot_rows, star_rows (M,); refined fit; false_match_probability."""
 
     spot_rows: np.ndarray
     star_rows: np.ndarray
     refined: Refined
     false_match_probability: float
-    radius_px: float
 
 
 def stars_in_frame(lens: Intrinsics, matrix: np.ndarray, sky: SkyCatalogue, half_diagonal: float,
@@ -51,6 +50,11 @@ def stars_in_frame(lens: Intrinsics, matrix: np.ndarray, sky: SkyCatalogue, half
     xy = projection.project(lens, sky.directions[rows] @ matrix.T)
     on = (xy[:, 0] > -0.5) & (xy[:, 0] < w - 0.5) & (xy[:, 1] > -0.5) & (xy[:, 1] < h - 0.5)
     return rows[on][:most], xy[on][:most]
+
+
+def stars_for(spots: int) -> int:
+    """How many catalogue stars are asked for so many spots."""
+    return max(FEWEST_STARS, int(STARS_PER_SPOT * spots))
 
 
 def pair_up(spots_xy: np.ndarray, stars_xy: np.ndarray, radius_px: float) -> tuple[np.ndarray, np.ndarray]:
@@ -78,8 +82,8 @@ def verify(view: View, covariance_px2: np.ndarray, sky: SkyCatalogue, hypothesis
     lens = replace(lens, fx_px=lens.fx_px / scale, fy_px=lens.fy_px / scale,
                    mirrored=lens.mirrored ^ bool(hypothesis.mirrored[0]))
     matrix, size = hypothesis.rotation[0], lens.image_size_px
-    n = min(VERIFY_SPOTS, len(view.xy_px))
-    most = max(FEWEST_STARS, int(STARS_PER_SPOT * n))
+    every, judged = len(view.xy_px), min(VERIFY_SPOTS, len(view.xy_px))
+    n = judged
     half_diagonal = view.half_diagonal_rad * 1.1 * max(scale, 1.0)
     half_px = np.hypot(*size) / 2
     sigma_px = float(np.median(view.sigma_rad[:n])) * lens.fx_px
@@ -89,8 +93,8 @@ def verify(view: View, covariance_px2: np.ndarray, sky: SkyCatalogue, hypothesis
     rounds = CALIBRATED_ROUNDS if view.calibrated else GUESSED_ROUNDS
     for turn in range(rounds):
         if turn == rounds - 1:  # the last round takes every spot and as many stars
-            n, most = len(view.xy_px), max(FEWEST_STARS, int(STARS_PER_SPOT * len(view.xy_px)))
-        rows, stars_xy = stars_in_frame(lens, matrix, sky, half_diagonal, most)
+            n = every
+        rows, stars_xy = stars_in_frame(lens, matrix, sky, half_diagonal, stars_for(n))
         if len(rows) < corners:
             return None
         spot, star = pair_up(view.xy_px[:n], stars_xy, radius)
@@ -105,10 +109,9 @@ def verify(view: View, covariance_px2: np.ndarray, sky: SkyCatalogue, hypothesis
         radius = max(SMALLEST_RADIUS_PX, min(radius, 5 * rms))
     keep = off < radius
     spot, rows_kept = spot[keep], rows[star[keep]]
-    first = spot < min(VERIFY_SPOTS, len(view.xy_px))
-    counted_stars = min(len(rows), max(FEWEST_STARS, int(STARS_PER_SPOT * min(VERIFY_SPOTS, len(view.xy_px)))))
-    bright = star[keep] < counted_stars
-    probability = chance(int((first & bright).sum()), min(VERIFY_SPOTS, len(view.xy_px)), counted_stars,
+    counted_stars = min(len(rows), stars_for(judged))
+    agreeing = int(((spot < judged) & (star[keep] < counted_stars)).sum())
+    probability = chance(agreeing, judged, counted_stars,
                          max(radius, min(probability_radius, 2 * radius)), size, corners, tried)
     refined = replace(refined, residual_px=refined.residual_px[keep])
-    return Match(spot_rows=spot, star_rows=rows_kept, refined=refined, false_match_probability=probability, radius_px=radius)
+    return Match(spot_rows=spot, star_rows=rows_kept, refined=refined, false_match_probability=probability)

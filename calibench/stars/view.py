@@ -8,6 +8,7 @@ A lens is one of
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class View:
     directions: np.ndarray
     sigma_rad: np.ndarray
 
-    @property
+    @cached_property
     def half_diagonal_rad(self) -> float:
         """Angle from the image's centre to its farthest corner."""
         w, h = self.intrinsics.image_size_px
@@ -43,11 +44,16 @@ class View:
         corner_v = projection.unproject(self.intrinsics, corners)
         return float(np.arccos(np.clip(corner_v @ self.centre, -1, 1).min()))
 
-    @property
+    @cached_property
     def centre(self) -> np.ndarray:
         """Direction (3,) of the image's centre ((W-1)/2, (H-1)/2)."""
         w, h = self.intrinsics.image_size_px
         return projection.unproject(self.intrinsics, np.array([[(w - 1) / 2, (h - 1) / 2]]))[0]
+
+
+def field_key(view: View) -> float:
+    """Half diagonal of the field, rounded up in steps of 10 %: like views share one table of stars."""
+    return float(np.exp(np.ceil(np.log(view.half_diagonal_rad * (1 + view.scale_slack)) * 10) / 10))
 
 
 def calibrated_view(spots: Spots, intrinsics: Intrinsics) -> View:

@@ -20,9 +20,10 @@ import numpy as np
 
 from ..circles import brightest_groups
 from ..sky_catalogue import SkyCatalogue
-from ..view import TOLERANCE_SIGMA, View
+from ..view import TOLERANCE_SIGMA, View, field_key
 
 NEEDS_SCALE = True
+table_key = field_key
 TRIANGLE_SPOTS = 9
 STARS_PER_CIRCLE = 13  # the circle about a 4:3 frame: the frame itself holds some 8 of them
 MOST_PROPOSALS = 200_000
@@ -47,11 +48,6 @@ def area_and_moment(sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def triangle_sides(corners: np.ndarray) -> np.ndarray:
     """(..., 3, 3) unit vectors V1 V2 V3 -> (..., 3) lengths |V1-V2|, |V2-V3|, |V3-V1|."""
     return np.linalg.norm(corners - np.roll(corners, -1, axis=-2), axis=-1)
-
-
-def table_key(view: View) -> float:
-    """Half diagonal of the field, in steps of 10 %."""
-    return float(np.exp(np.ceil(np.log(view.half_diagonal_rad * (1 + view.scale_slack)) * 10) / 10))
 
 
 def build(sky: SkyCatalogue, key: float) -> TriangleTable:

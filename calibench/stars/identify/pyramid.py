@@ -16,16 +16,12 @@ import numpy as np
 from ...geometry import sphere
 from ..sky_catalogue import SkyCatalogue
 from ..star_pairs import StarPairs
-from ..view import TOLERANCE_SIGMA, View
+from ..view import TOLERANCE_SIGMA, View, field_key
 
 NEEDS_SCALE = True
+table_key = field_key
 TRIANGLE_SPOTS = 10
 MOST_TRIANGLES = 20_000  # per triple: beyond it the triple says too little
-
-
-def table_key(view: View) -> float:
-    """Half diagonal of the field, in steps of 10 %."""
-    return float(np.exp(np.ceil(np.log(view.half_diagonal_rad * (1 + view.scale_slack)) * 10) / 10))
 
 
 def build(sky: SkyCatalogue, key: float) -> StarPairs:

@@ -38,12 +38,6 @@ class Tried:
     roll_error_arcsec: float
 
 
-def lens_of(calmap: CalibrationMap, fov_rad: float | None = None) -> Lens:
-    """What a map knows of lens and PSF; unmeasured layers are None there, so that solving falls back to a guess knowingly."""
-    return Lens(intrinsics=calmap.intrinsics if "intrinsics" in calmap.measured else None,
-                psf=calmap.psf if "psf" in calmap.measured else None, fov_rad=fov_rad)
-
-
 def variants(calmap: CalibrationMap) -> dict[str, CalibrationMap]:
     """No map, the whole map, and the map less each group of layers that was measured and reaches a solution."""
     out = {RAW: CalibrationMap(image_size_px=calmap.image_size_px), WHOLE: calmap}
@@ -61,7 +55,7 @@ def attempt(name: str, cases: Sequence[SkyCase], calmap: CalibrationMap, finders
     for case in cases:
         finder = finders(case)
         solver = Solver(finder=finder, familiar=solver.familiar if solver else {}, **settings)
-        solution = solver.solve(correct(case.frame, calmap), lens_of(calmap))
+        solution = solver.solve(correct(case.frame, calmap), Lens.of(calmap))
         tick()
         solutions.append(solution)
         if solution.status != "solved":
