@@ -16,7 +16,7 @@ demo: $(READY)
 	$(BIN)/calibench demo --out out/demo
 
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 bench: $(READY)
 	$(BIN)/python -m pytest tests/benchmarks -s -q -o python_files='bench_*.py'
