@@ -20,7 +20,7 @@ CONTRACTS: dict[str, dict[str, tuple[str, ...] | type]] = {
     "calibench.spots.centroid": {"centroid": ("scene", "candidates")},
     "calibench.stars.identify": {"table_key": ("view",), "build": ("sky", "key"),
                                   "propose": ("view", "sky", "table"), "NEEDS_SCALE": bool},
-    "calibench.stars.attitude": {"attitude": ("camera", "sky", "weights")},
+    "calibench.stars.attitude": {"attitude": ("camera", "sky", "weights"), "effective_weights": ("camera", "weights")},
     "calibench.validate.trials": {"trial": ("cases", "calmap")},
     "calibench.io.readers": {"read": ("raw", "file", "sidecar")},
     "calibench.io.exports": {"export": ("calmap", "path")},

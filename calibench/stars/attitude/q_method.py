@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ._davenport import k_parts, matrix_of_papers_quaternion, profile_matrix
+from ._davenport import effective_weights, k_matrix, matrix_of_papers_quaternion, profile_matrix
+
+__all__ = ["attitude", "effective_weights"]
 
 
 def attitude(camera: np.ndarray, sky: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -13,7 +15,5 @@ def attitude(camera: np.ndarray, sky: np.ndarray, weights: np.ndarray) -> np.nda
     Raises:
         BadInput: fewer than two directions, or all parallel.
     """
-    s, z, sigma = k_parts(profile_matrix(camera, sky, weights))
-    k = np.block([[s - sigma * np.eye(3), z[:, None]], [z[None, :], np.array([[sigma]])]])
-    _, vectors = np.linalg.eigh(k)
+    _, vectors = np.linalg.eigh(k_matrix(profile_matrix(camera, sky, weights)))
     return matrix_of_papers_quaternion(vectors[:, -1])

@@ -1,45 +1,30 @@
 """QUEST (Shuster and Oh 1981), with the sequential rotations that keep it away from half turns.
 
-    psi(l) = l^4 - (a + b) l^2 - c l + (a b + c sigma - d) = 0, Newton from l = 1 (the sum of the weights)
-    a = sigma^2 - tr adj S, b = sigma^2 + z.z, c = det S + z.S z, d = z.S^2 z
     alpha = l^2 - sigma^2 + tr adj S, gamma = alpha (l + sigma) - det S, x = (alpha I + (l - sigma) S + S^2) z
-    q = (x, gamma) / norm
+    q = (x, gamma) / norm, l the largest root of psi (`_davenport.largest_root`)
 
 gamma is proportional to the square of the quaternion's scalar part: at half turns it vanishes and x and gamma lose their
 digits (the thesis loses 873 of 26437 exact cases so). Turning the sky by 180 deg about an axis first (sequential rotation)
 leaves l unchanged and moves another component of the quaternion into the scalar's place: of the four frames (none, x, y, z)
 the one with the largest gamma is used, and one of the four squares is always at least 1/4.
-Newton's step is checked against psi; where it has not converged (few, noisy stars: a nearly double root) the largest
-eigenvalue of K is computed instead.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ._davenport import k_parts, matrix_of_papers_quaternion, profile_matrix
+from ._davenport import (
+    effective_weights,
+    k_matrix,
+    largest_root,
+    matrix_of_papers_quaternion,
+    profile_matrix,
+    settled,
+)
 
-NEWTON_STEPS = 20
-FLIPS = (np.diag([1.0, 1, 1]), np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1]))
+__all__ = ["attitude", "effective_weights"]
 
-
-def largest_root(s: np.ndarray, z: np.ndarray, sigma: float) -> float:
-    """The largest root of psi by Newton from 1; the exact eigenvalue where Newton does not settle."""
-    adjoint = (np.trace(s) ** 2 - np.trace(s @ s)) / 2  # tr adj S, safe for singular S
-    a, b = sigma**2 - adjoint, sigma**2 + z @ z
-    c, d = np.linalg.det(s) + z @ s @ z, z @ s @ s @ z
-    l = 1.0
-    for _ in range(NEWTON_STEPS):
-        psi = l**4 - (a + b) * l**2 - c * l + (a * b + c * sigma - d)
-        slope = 4 * l**3 - 2 * (a + b) * l - c
-        if slope <= 1e-7:  # right of the largest root psi rises; a flat or falling curve means a double root nearby
-            break
-        step = psi / slope
-        l -= step
-        if abs(step) < 1e-15:
-            return l
-    k = np.block([[s - sigma * np.eye(3), z[:, None]], [z[None, :], np.array([[sigma]])]])
-    return float(np.linalg.eigvalsh(k)[-1])
+FLIPS = ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))  # diagonals: no turn, and half turns about x, y, z
 
 
 def attitude(camera: np.ndarray, sky: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -49,15 +34,41 @@ def attitude(camera: np.ndarray, sky: np.ndarray, weights: np.ndarray) -> np.nda
         BadInput: fewer than two directions, or all parallel.
     """
     b = profile_matrix(camera, sky, weights)
-    l = largest_root(*k_parts(b))
-    frames = [(flip, *_vector_and_gamma(l, *k_parts(b @ flip))) for flip in FLIPS]
-    flip, x, gamma = max(frames, key=lambda frame: frame[2])
-    return matrix_of_papers_quaternion(np.append(x, gamma)) @ flip
+    l = largest_root(b)
+    rows = b.tolist()
+    flip = max(FLIPS, key=lambda diagonal: _gamma(l, rows, diagonal))
+    turned = b * flip
+    q = settled(k_matrix(turned), l, lambda root: _quaternion(root, turned.tolist()))
+    return matrix_of_papers_quaternion(q) * flip
 
 
-def _vector_and_gamma(l: float, s: np.ndarray, z: np.ndarray, sigma: float) -> tuple[np.ndarray, float]:
-    """Unnormalised quaternion (x, gamma) of one frame."""
-    adjoint = (np.trace(s) ** 2 - np.trace(s @ s)) / 2
-    alpha = l * l - sigma * sigma + adjoint
-    gamma = alpha * (l + sigma) - np.linalg.det(s)
-    return (alpha * np.eye(3) + (l - sigma) * s + s @ s) @ z, float(gamma)
+def _symmetric(b: list[list[float]], flip: tuple[int, int, int]) -> tuple[float, ...]:
+    """sigma and the six parts of S = B + B' for the columns of B turned by a flip: sigma, s11, s22, s33, s12, s13, s23."""
+    f1, f2, f3 = flip
+    (b11, b12, b13), (b21, b22, b23), (b31, b32, b33) = b
+    d1, d2, d3 = b11 * f1, b22 * f2, b33 * f3
+    return (d1 + d2 + d3, 2 * d1, 2 * d2, 2 * d3, b12 * f2 + b21 * f1, b13 * f3 + b31 * f1, b23 * f3 + b32 * f2)
+
+
+def _alpha_gamma(l: float, sigma: float, s11: float, s22: float, s33: float, s12: float, s13: float,
+                 s23: float) -> tuple[float, float]:
+    minors = s22 * s33 - s23 * s23 + s11 * s33 - s13 * s13 + s11 * s22 - s12 * s12
+    determinant = s11 * (s22 * s33 - s23 * s23) - s12 * (s12 * s33 - s23 * s13) + s13 * (s12 * s23 - s22 * s13)
+    alpha = l * l - sigma * sigma + minors
+    return alpha, alpha * (l + sigma) - determinant
+
+
+def _gamma(l: float, b: list[list[float]], flip: tuple[int, int, int]) -> float:
+    return _alpha_gamma(l, *_symmetric(b, flip))[1]
+
+
+def _quaternion(l: float, b: list[list[float]]) -> np.ndarray:
+    """Unit quaternion (x, gamma) of the papers for the eigenvalue l."""
+    sigma, s11, s22, s33, s12, s13, s23 = parts = _symmetric(b, FLIPS[0])
+    alpha, gamma = _alpha_gamma(l, *parts)
+    z1, z2, z3 = b[1][2] - b[2][1], b[2][0] - b[0][2], b[0][1] - b[1][0]
+    y1, y2, y3 = (s11 * z1 + s12 * z2 + s13 * z3, s12 * z1 + s22 * z2 + s23 * z3, s13 * z1 + s23 * z2 + s33 * z3)
+    r = l - sigma
+    q = np.array([alpha * z1 + r * y1 + s11 * y1 + s12 * y2 + s13 * y3, alpha * z2 + r * y2 + s12 * y1 + s22 * y2 + s23 * y3,
+                  alpha * z3 + r * y3 + s13 * y1 + s23 * y2 + s33 * y3, gamma])
+    return q / np.sqrt(q @ q)
