@@ -8,18 +8,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..errors import BadInput
-from ..records import DEFECT_FLAGS, IMAGE_LAYERS, LAYERS, CalibrationMap, Camera, Measurement
+from ..records import CURVE_LAYERS, DEFECT_FLAGS, IMAGE_LAYERS, LAYERS, CalibrationMap, Camera, Measurement
+from .clusters import with_clusters
 from .conditions import agreed, merge_cameras, merge_conditions
 
 # Layers that are measured together and mean something only together: an offset taken without a known exposure holds
 # dark charge, so it must never meet the dark rate of another session.
 LAYER_GROUPS: dict[str, tuple[str, ...]] = {
-    "dark": ("offset_dn", "offset_uncertainty_dn", "dark_rate_dn_per_s", "dark_rate_uncertainty_dn_per_s"),
+    "dark": ("offset_dn", "offset_uncertainty_dn", "dark_rate_dn_per_s", "dark_rate_uncertainty_dn_per_s", "dark_reference_c",
+             "dark_activation_ev"),
     "response": ("response", "response_uncertainty", "illumination"),
     "read_noise": ("read_noise_dn",),
     "defects": ("defects",),
     "gain": ("gain_dn_per_e",),
     "saturation": ("saturation_dn",),
+    "linearity": ("linearity_dn",),
     "intrinsics": ("intrinsics",),
     "psf": ("psf",),
 }
@@ -123,15 +126,16 @@ def _layers(measurements: Sequence[Measurement], base: CalibrationMap | None) ->
     replaced = {name for group in LAYER_GROUPS.values() if not new.keys().isdisjoint(group) for name in group}
     layers = {name: value for name, value in old.items() if name not in replaced} | new
     if defects:
-        layers["defects"] = np.bitwise_or.reduce(defects)
+        layers["defects"] = with_clusters(np.bitwise_or.reduce(defects))
     return layers, warnings
 
 
 def _brought(measurement: Measurement) -> dict[str, object]:
     """Every layer that a measurement brings, by its CalibrationMap name."""
-    scalars = {name: float(value) for name, value in measurement.layers.items() if np.isfinite(value)}
+    small = {name: value if name in CURVE_LAYERS else float(value) for name, value in measurement.layers.items()
+             if np.isfinite(value).all()}
     models = {name: getattr(measurement, name) for name in ("intrinsics", "psf")}
-    brought = {**measurement.maps, **scalars, **{name: model for name, model in models.items() if model is not None}}
+    brought = {**measurement.maps, **small, **{name: model for name, model in models.items() if model is not None}}
     unknown = sorted(brought.keys() - set(LAYERS))
     if unknown:
         raise BadInput(f"{measurement.name} brings unknown map layers: {', '.join(unknown)}",

@@ -8,6 +8,7 @@ A map file is a multi-extension FITS file:
     VERDICTS           a row a verdict          | the same as in METADATA, for any FITS table viewer
     INPUTS             a row a frame: sha256   /
     <LAYER>            one image for each measured image layer; DEFECTS is uint16, its bits named by BIT keywords
+    LINEARITY_DN       (K, 2), where measured
     INTRINSICS_COVARIANCE, PSF_COEFFICIENTS, PSF_MEASURED_XY_PX       where measured
     EVIDENCE/<key>     one for each evidence array
 
@@ -26,6 +27,7 @@ from pathlib import PurePath
 import numpy as np
 
 from ..records import (
+    CURVE_LAYERS,
     DEFECT_FLAGS,
     DISTORTION_NAMES,
     IMAGE_LAYERS,
@@ -46,7 +48,10 @@ BLOCK, CARD = 2880, 80
 TABLES = ("METADATA", "QUANTITIES", "VERDICTS", "INPUTS")
 UNITS = {"offset_dn": "DN", "offset_uncertainty_dn": "DN", "dark_rate_dn_per_s": "DN/s",
          "dark_rate_uncertainty_dn_per_s": "DN/s", "response": "", "response_uncertainty": "", "illumination": "",
-         "read_noise_dn": "DN", "gain_dn_per_e": "DN/e-", "saturation_dn": "DN"}
+         "read_noise_dn": "DN", "gain_dn_per_e": "DN/e-", "saturation_dn": "DN", "linearity_dn": "DN",
+         "dark_reference_c": "deg C",
+         "dark_activation_ev": "eV"}
+ARRAY_LAYERS = (*IMAGE_LAYERS, "defects", *CURVE_LAYERS)
 
 
 def digest(content: bytes) -> str:
@@ -68,7 +73,7 @@ def header_end(content: bytes) -> int:
 
 def arrays_of(calmap: CalibrationMap) -> dict[str, np.ndarray]:
     """Every array that the file of this map holds, by extension name."""
-    arrays = {name.upper(): getattr(calmap, name) for name in (*IMAGE_LAYERS, "defects") if name in calmap.measured}
+    arrays = {name.upper(): getattr(calmap, name) for name in ARRAY_LAYERS if name in calmap.measured}
     if "intrinsics" in calmap.measured:
         arrays["INTRINSICS_COVARIANCE"] = calmap.intrinsics.covariance
     if "psf" in calmap.measured:
@@ -103,7 +108,7 @@ def rebuild(meta: dict, arrays: Mapping[str, np.ndarray]) -> CalibrationMap:
     """
     measured = frozenset(name for name, layer in meta["layers"].items() if layer["measured"])
     size = tuple(meta["image_size_px"])
-    layers = {name: arrays[name.upper()] for name in (*IMAGE_LAYERS, "defects") if name in measured}
+    layers = {name: arrays[name.upper()] for name in ARRAY_LAYERS if name in measured}
     layers |= {name: float(meta["layers"][name]["value"]) for name in SCALAR_LAYERS if name in measured}
     if "intrinsics" in measured:
         lens = meta["intrinsics"]
@@ -132,7 +137,7 @@ def rebuild(meta: dict, arrays: Mapping[str, np.ndarray]) -> CalibrationMap:
 def required_extensions(meta: dict) -> list[str]:
     """The extension names that a file with this description must hold."""
     measured = [name for name, layer in meta["layers"].items() if layer["measured"]]
-    names = [name.upper() for name in (*IMAGE_LAYERS, "defects") if name in measured]
+    names = [name.upper() for name in ARRAY_LAYERS if name in measured]
     names += ["INTRINSICS_COVARIANCE"] if "intrinsics" in measured else []
     names += ["PSF_COEFFICIENTS", "PSF_MEASURED_XY_PX"] if "psf" in measured else []
     return [*TABLES, *names, *(f"EVIDENCE/{key}" for key in meta["evidence"])]
@@ -145,6 +150,8 @@ def _layer(calmap: CalibrationMap, name: str) -> dict:
     if name in IMAGE_LAYERS:
         return {"measured": True, "unit": UNITS[name], "median": np.median(value), "minimum": value.min(),
                 "maximum": value.max()}
+    if name in CURVE_LAYERS:
+        return {"measured": True, "unit": UNITS[name], "points": len(value), "largest_correction": np.abs(np.diff(value)).max()}
     if name in SCALAR_LAYERS:
         return {"measured": True, "unit": UNITS[name], "value": value}
     if name == "defects":

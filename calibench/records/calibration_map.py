@@ -30,8 +30,10 @@ IMAGE_LAYERS: dict[str, float] = {
     "illumination": 1.0,
     "read_noise_dn": 0.0,
 }
-SCALAR_LAYERS = ("gain_dn_per_e", "saturation_dn")
-LAYERS = (*IMAGE_LAYERS, "defects", *SCALAR_LAYERS, "intrinsics", "psf")
+SCALAR_LAYERS = ("gain_dn_per_e", "saturation_dn", "dark_reference_c", "dark_activation_ev")
+# Curve layers, (K, 2) from a value to a value: name -> identity.
+CURVE_LAYERS: dict[str, tuple] = {"linearity_dn": ((0.0, 0.0), (1.0, 1.0))}
+LAYERS = (*IMAGE_LAYERS, "defects", *SCALAR_LAYERS, *CURVE_LAYERS, "intrinsics", "psf")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,8 +67,11 @@ class CalibrationMap:
     """The hub's noun. `measured` names the real layers (of LAYERS); all others hold their identity.
 
     Image layers are (H, W) float32, `defects` (H, W) uint16 of DEFECT_FLAGS. gain_dn_per_e is NaN and saturation_dn infinite
-    where not measured. `evidence` carries what a re-analysis needs (corner observations), `inputs` the frames'
-    sha256 by "measurement/file". Uncertainties here are systematic: common to all frames corrected with this map.
+    where not measured. dark_reference_c: temperature of the dark rate (NaN: not stated); dark_activation_ev: activation energy
+    by which it follows the temperature (0: not measured, the rate stays). linearity_dn: (K, 2) ascending, signal above the
+    offset and what a linear camera would give. `evidence` carries what a re-analysis needs
+    (corner observations), `inputs` the frames' sha256 by "measurement/file".
+    Uncertainties here are systematic: common to all frames corrected with this map.
     """
 
     image_size_px: tuple[int, int]
@@ -82,6 +87,9 @@ class CalibrationMap:
     defects: np.ndarray = None
     gain_dn_per_e: float = np.nan
     saturation_dn: float = np.inf
+    linearity_dn: np.ndarray = None
+    dark_reference_c: float = np.nan
+    dark_activation_ev: float = 0.0
     intrinsics: Intrinsics = None
     psf: PsfMap = None
     camera: Camera = field(default_factory=Camera)
@@ -105,6 +113,12 @@ class CalibrationMap:
             value = getattr(self, name)
             layer = np.broadcast_to(np.float32(identity), (h, w)) if value is None else value
             settle(self, **{name: frozen(layer, name=f"map layer {name}", shape=(h, w), dtype=np.float32)})
+        for name, identity in CURVE_LAYERS.items():
+            value = getattr(self, name)
+            curve = frozen(identity if value is None else value, name=f"map layer {name}", shape=(None, 2), dtype=float)
+            if len(curve) < 2 or not np.all(np.diff(curve, axis=0) > 0):
+                raise BadInput(f"map layer {name} does not ascend")
+            settle(self, **{name: curve})
         defects = np.broadcast_to(np.uint16(0), (h, w)) if self.defects is None else self.defects
         settle(self,
                image_size_px=(w, h),

@@ -73,8 +73,8 @@ def test_everything_finds_its_place():
 
 def test_defects_are_ored():
     calmap = assemble([dark(), flat()], **STAMP)
-    assert calmap.defects[0, 0] == DEFECT_FLAGS["hot"] | DEFECT_FLAGS["cold"]
-    assert calmap.defects[1, 1] == DEFECT_FLAGS["dead"] and np.count_nonzero(calmap.defects) == 2
+    assert calmap.defects[0, 0] == DEFECT_FLAGS["hot"] | DEFECT_FLAGS["cold"] | DEFECT_FLAGS["cluster"]
+    assert calmap.defects[1, 1] == DEFECT_FLAGS["dead"] | DEFECT_FLAGS["cluster"] and np.count_nonzero(calmap.defects) == 2
 
 
 def test_conditions_are_the_span_of_all():
