@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -135,6 +135,11 @@ class Identification:
                xy_px=frozen(self.xy_px, name="Identification.xy_px", shape=(m, 2), dtype=float),
                covariance_px2=frozen(self.covariance_px2, name="Identification.covariance_px2", shape=(m, 2, 2), dtype=float),
                direction_icrs=frozen(self.direction_icrs, name="Identification.direction_icrs", shape=(m, 3), dtype=float))
+
+    def take(self, rows: np.ndarray) -> Identification:
+        """With only these of the matched stars (index or mask), in that order."""
+        columns = ("spot_rows", "star_rows", "xy_px", "covariance_px2", "direction_icrs")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 1. Spots: background, detection, centroids with covariance.                       (spots)
 2. Identification, lost in space, with the map's lens, a given field, or neither.  (lost_in_space)
-3. Attitude by the named method, then its covariance and residuals.               (attitude)
+3. Attitude by the named method without outliers, its covariance and residuals.    (frame_attitude)
 4. Where the image's centre looks, with aberration taken off.                      (geometry)
 """
 
@@ -13,13 +13,12 @@ from time import perf_counter
 
 import numpy as np
 
-from .. import registry
 from ..geometry import projection, rotation, sphere
 from ..records import Attitude, CalibrationMap, CorrectedFrame, Identification, Intrinsics, PsfMap, Spots
 from ..spots.find import find_spots
+from .frame_attitude import attitude_without_outliers, spot_weights
 from .lens_error import systematic
 from .lost_in_space import LostInSpace
-from .verify import CALIBRATED_MODEL_SD_PX, GUESSED_MODEL_SD_PX
 from .view import horizontal_fov
 
 
@@ -98,7 +97,7 @@ class Solver:
         found = replace(found, file=corrected.file)
         clock.append(perf_counter())
         if found.status == "solved":
-            attitude = find_attitude(found, self.attitude_method, calibrated=lens.intrinsics is not None)
+            found, attitude = attitude_without_outliers(found, self.attitude_method, calibrated=lens.intrinsics is not None)
             if lens.intrinsics is None:
                 self.familiar[size] = found.intrinsics
         else:
@@ -113,33 +112,6 @@ class Solver:
             bias, centre = systematic(found, matrix, spot_weights(found, calibrated=True))
             solution = replace(solution, systematic_covariance_rad2=bias, systematic_centre_rad=centre)
         return _pointed(solution, self.finder)
-
-
-def spot_weights(found: Identification, *, calibrated: bool) -> np.ndarray:
-    """Inverse covariance (M, 2, 2), px^-2, of the matched spots, with what the lens model itself may be off."""
-    model_sd = CALIBRATED_MODEL_SD_PX if calibrated else GUESSED_MODEL_SD_PX
-    return np.linalg.inv(found.covariance_px2 + np.eye(2) * model_sd**2)
-
-
-def find_attitude(found: Identification, method: str, *, calibrated: bool) -> Attitude:
-    """Attitude of an identified frame: Wahba's problem by the named method, covariance from the Fisher information in pixels.
-
-    The covariance is scaled up by the residuals' chi-square per degree of freedom where that exceeds one: a frame whose stars
-    miss by more than their centroids' errors is not given a better error bar than it shows.
-    """
-    lens = found.intrinsics
-    v, by_xy = projection.unproject_with_jacobian(lens, found.xy_px)
-    weight = spot_weights(found, calibrated=calibrated)
-    sigma2 = np.trace(by_xy @ np.linalg.inv(weight) @ np.swapaxes(by_xy, 1, 2), axis1=1, axis2=2) / 2
-    matrix = registry.load("calibench.stars.attitude", method).attitude(v, found.direction_icrs, 1 / sigma2)
-    predicted = found.direction_icrs @ matrix.T
-    xy, by_v, _ = projection.project_with_jacobian(lens, predicted)
-    residual = found.xy_px - xy
-    jacobian = by_v @ -rotation.skew(predicted)
-    information = (np.swapaxes(jacobian, 1, 2) @ weight @ jacobian).sum(0)
-    chi2 = np.einsum("mi,mij,mj->", residual, weight, residual) / max(2 * len(residual) - 3, 1)
-    return Attitude(status="solved", method=method, q_cam_icrs=rotation.quaternion_from_matrix(matrix),
-                    covariance_rad2=np.linalg.inv(information) * max(1.0, chi2), residual_px=residual)
 
 
 def _pointed(solution: Solution, finder: LostInSpace) -> Solution:

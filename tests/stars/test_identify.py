@@ -9,9 +9,9 @@ from calibench.errors import UsageError
 from calibench.geometry import projection
 from calibench.io.star_table import load_star_table
 from calibench.records import Intrinsics, Observer, Spots
+from calibench.stars.frame_attitude import find_attitude
 from calibench.stars.lost_in_space import ACCEPT, LostInSpace
 from calibench.stars.sky_catalogue import SkyCatalogue
-from calibench.stars.solve import find_attitude
 
 SIZE = (752, 480)
 METHODS = registry.names("calibench.stars.identify")

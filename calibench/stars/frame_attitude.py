@@ -1,0 +1,101 @@
+"""The attitude of an identified frame: Wahba's problem by the named method, outliers out, covariance from the spots' own.
+
+1. Directions of the matched spots through the lens, weights from their covariance.
+2. The named method's rotation R; residuals in pixels.
+3. While one star misses by more than OUTLIER_SIGMA of its own and the frame's errors, the worst is left out and 2 repeated.
+4. Covariance by linear propagation through the method as it weighs the stars (a_i), with u_i = R r_i and spot covariance S_i
+   in the tangent plane:   F d = sum a_i u_i x e_i,   F = sum a_i (I - u_i u_i'),
+                           P = F^-1 (sum a_i^2 [u_i]x S_i [u_i]x') F^-1.
+   It is honest for any weights, the best ones or not. Where the smallest chi^2 that any rotation could reach says that the
+   stars miss by more than their errors (beyond SURPRISE sigma of chance), P is scaled by chi^2 over the degrees of freedom.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .. import registry
+from ..errors import BadInput
+from ..geometry import projection, rotation
+from ..records import Attitude, Identification
+from .verify import CALIBRATED_MODEL_SD_PX, GUESSED_MODEL_SD_PX
+
+OUTLIER_SIGMA = 5.0
+FEWEST_STARS = 4
+MOST_REJECTED = 0.25  # of the stars: where more of them miss, the frame's errors are larger than stated and no star is to blame
+SURPRISE = 3.0
+LARGEST_SD_RAD = 0.1  # a rotation less sure than this about some axis is not observed
+
+
+def spot_weights(found: Identification, *, calibrated: bool) -> np.ndarray:
+    """Inverse covariance (M, 2, 2), px^-2, of the matched spots, with what the lens model itself may be off."""
+    model_sd = CALIBRATED_MODEL_SD_PX if calibrated else GUESSED_MODEL_SD_PX
+    return np.linalg.inv(found.covariance_px2 + np.eye(2) * model_sd**2)
+
+
+def attitude_without_outliers(found: Identification, method: str, *, calibrated: bool) -> tuple[Identification, Attitude]:
+    """The attitude and the stars that it rests on.
+
+    calibrated: the lens comes from a map. An attitude that the stars do not determine has the status `rejected`.
+
+    Raises:
+        UsageError: unknown method.
+    """
+    most = int(MOST_REJECTED * len(found.spot_rows))
+    try:
+        attitude = find_attitude(found, method, calibrated=calibrated)
+        for rejected in range(most + 1):
+            off = _misses(attitude.residual_px, spot_weights(found, calibrated=calibrated))
+            worst = int(np.argmax(off))
+            if off[worst] <= OUTLIER_SIGMA or rejected == most or len(off) <= FEWEST_STARS:
+                break
+            found = found.take(np.arange(len(off)) != worst)
+            attitude = find_attitude(found, method, calibrated=calibrated)
+    except BadInput as fault:
+        return found, Attitude.unsolved(status="rejected", method=method, reason=f"no attitude: {fault.what}")
+    if not np.sqrt(np.diag(attitude.covariance_rad2).max()) < LARGEST_SD_RAD:
+        return found, Attitude.unsolved(status="rejected", method=method, reason="the stars are too close together to tell "
+                                        "the rotation about them")
+    return found, attitude
+
+
+def find_attitude(found: Identification, method: str, *, calibrated: bool) -> Attitude:
+    """Attitude of an identified frame from all its stars (steps 1, 2 and 4).
+
+    Raises:
+        UsageError: unknown method. BadInput: the stars' directions do not determine a rotation.
+    """
+    lens, stars = found.intrinsics, found.direction_icrs
+    module = registry.load("calibench.stars.attitude", method)
+    v, by_xy = projection.unproject_with_jacobian(lens, found.xy_px)
+    weight = spot_weights(found, calibrated=calibrated)
+    sigma2 = np.trace(by_xy @ np.linalg.inv(weight) @ np.swapaxes(by_xy, 1, 2), axis1=1, axis2=2) / 2
+    matrix = module.attitude(v, stars, 1 / sigma2)
+    u = stars @ matrix.T
+    xy, by_v, _ = projection.project_with_jacobian(lens, u)
+    residual = found.xy_px - xy
+    cross = rotation.skew(u)
+    covariance_px2 = found.covariance_px2 if calibrated else np.linalg.inv(weight)
+    a = module.effective_weights(v, 1 / sigma2)[:, None, None] * sigma2.mean()
+    turned = a * (cross @ by_xy)
+    gain = np.linalg.inv(np.einsum("m,mij->ij", a[:, 0, 0], np.eye(3) - u[:, :, None] * u[:, None, :]))
+    covariance = gain @ np.einsum("mij,mjk,mlk->il", turned, covariance_px2, turned) @ gain
+    chi2, freedom = _smallest_chi2(residual, by_v @ -cross, np.linalg.inv(covariance_px2)), max(2 * len(residual) - 3, 1)
+    scale = chi2 / freedom if chi2 > freedom + SURPRISE * np.sqrt(2 * freedom) else 1.0
+    return Attitude(status="solved", method=method, q_cam_icrs=rotation.quaternion_from_matrix(matrix),
+                    covariance_rad2=covariance * scale, residual_px=residual)
+
+
+def _smallest_chi2(residual: np.ndarray, jacobian: np.ndarray, weight: np.ndarray) -> float:
+    """chi^2 of residuals (M, 2) with weights (M, 2, 2) after the best small rotation is taken out; jacobian (M, 2, 3)."""
+    weighted = np.swapaxes(jacobian, 1, 2) @ weight
+    gradient = np.einsum("mij,mj->i", weighted, residual)
+    step = np.linalg.solve((weighted @ jacobian).sum(0), gradient)
+    return float(np.einsum("mi,mij,mj->", residual, weight, residual) - gradient @ step)
+
+
+def _misses(residual: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """How many sigma each star (M,) misses by: of its own error, and of the frame's typical one where that is larger."""
+    d2 = np.einsum("mi,mij,mj->m", residual, weight, residual)
+    typical = max(float(np.median(d2)) / (2 * np.log(2)), 1.0)  # the median of chi^2 with two degrees of freedom is 2 ln 2
+    return np.sqrt(d2 / typical)
