@@ -2,7 +2,8 @@
 
 Beside sum and sum of squares, a third sum weights each frame by its own level (mean over the frame). It gives each
 pixel's regression on the common level, so that a warming sensor or a flickering lamp does not count as noise
-of the pixels. Memory does not grow with the number of frames.
+of the pixels. Frames wait until a batch is full, because loading and storing the sums costs more than adding one frame to
+them; before the first batch there are no sums, so that a stack never holds more than a batch of frames beyond them.
 """
 
 from __future__ import annotations
@@ -14,23 +15,26 @@ import numpy as np
 
 from ..errors import BadInput
 from ..records import Frame, FrameStack
+from ._glance import glance
+from .kernels import add_frames, steady_squares
 
 MIN_FRAMES_FOR_SLOPE = 4
+BATCH = 8
+WEIGHTS_PER_DN = 256  # levels are weights in this integer step: its rounding adds 1e-6 DN^2 to the steady variance
 
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
     """A stack with what only the order of its frames shows.
 
-    levels_dn: (N,) mean of each frame. steady_variance_dn2: (H, W) temporal variance with the common level's part removed,
-    over `freedom` degrees of freedom (NaN where that is 0). slope: (H, W) change of the pixel for a change of 1 in the level.
+    levels_dn: (N,) mean of each frame. steady_variance_dn2: (H, W) float32, temporal variance with the common level's part
+    removed, over `freedom` degrees of freedom (NaN where that is 0).
     """
 
     stack: FrameStack
     levels_dn: np.ndarray
     steady_variance_dn2: np.ndarray
     freedom: int
-    slope: np.ndarray
 
 
 class Accumulator:
@@ -38,34 +42,65 @@ class Accumulator:
 
     def __init__(self) -> None:
         self._levels: list[float] = []
-        self._sum = self._sum_sq = self._weighted = None
+        self._weights: list[int] = []  # level of each frame above the shift, in steps of 1 / WEIGHTS_PER_DN
+        self._waiting: list[np.ndarray] = []
+        self._sums: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._lent = False  # a series holds the sums: they are copied before the next frame is added
+        self._shape: tuple[int, int] | None = None
         self._shift = 0
+        self._widest = 0  # largest |pixel - shift|
 
     def add(self, frame: Frame) -> None:
         """Add a frame.
 
         Raises:
-            BadInput: its size differs, or its values are no integers (sums would not be exact).
+            BadInput: its size differs, its values are no integers (sums would not be exact), or there are more frames than
+                exact sums can hold (32,000 of the full 16 bits; of narrower values more).
         """
-        data = frame.data
-        if data.dtype.kind not in "ui":
-            if not np.array_equal(data, np.rint(data)):
-                raise BadInput(f"pixel values are no whole DN ({data.dtype})", file=frame.file or None,
-                               mend="give frames as the camera made them, not averaged or scaled copies")
-            data = data.astype(np.int64)
-        if self._sum is None:
-            self._shift = int(np.median(data))
-            self._sum, self._sum_sq = np.zeros(data.shape, np.int64), np.zeros(data.shape, np.int64)
-            self._weighted = np.zeros(data.shape)
-        if data.shape != self._sum.shape:
-            raise BadInput(f"image size is {frame.image_size_px} px, but {self._sum.shape[::-1]} px before",
+        seen = glance(frame)
+        if self._shape is None:
+            self._shape, self._shift = seen.values.shape, round(seen.level_dn)
+        if seen.values.shape != self._shape:
+            raise BadInput(f"image size is {frame.image_size_px} px, but {self._shape[::-1]} px before",
                            file=frame.file or None)
-        shifted = data.astype(np.int64) - self._shift
-        level = float(shifted.mean())
-        self._sum += shifted
-        self._sum_sq += shifted * shifted
-        self._weighted += level * shifted
-        self._levels.append(level)
+        self._widest = max(self._widest, seen.largest - self._shift, self._shift - seen.smallest)
+        self._require_room(frame.file or None)
+        if self._waiting and self._waiting[0].dtype != seen.values.dtype:
+            self._add_waiting()
+        pixels = seen.values.size
+        self._weights.append((WEIGHTS_PER_DN * (seen.total_dn - self._shift * pixels) + pixels // 2) // pixels)
+        self._levels.append(seen.level_dn)
+        self._waiting.append(seen.values.reshape(-1))
+        if len(self._waiting) == BATCH:
+            self._add_waiting()
+
+    def merge(self, other: Accumulator) -> None:
+        """Take in the frames of another accumulator, as if they had been added here after its own: exact in any order.
+
+        Raises:
+            BadInput: its size differs, or there are more frames than exact sums can hold.
+        """
+        if not other.count:
+            return
+        if self._shape is None:
+            self._shape, self._shift = other._shape, other._shift
+        if other._shape != self._shape:
+            raise BadInput(f"a stack of {other._shape[::-1]} px does not go with one of {self._shape[::-1]} px")
+        self._add_waiting()
+        other._add_waiting()
+        step = other._shift - self._shift  # the other's pixels are smaller by this than ours of the same value
+        n, (total, squares, weighted) = other.count, other._sums
+        weights, sum_of_weights = WEIGHTS_PER_DN * step, sum(other._weights)
+        self._widest = max(self._widest, other._widest + abs(step))
+        self._weights += [w + weights for w in other._weights]
+        self._levels += other._levels
+        self._require_room(None)
+        self._own_sums()
+        mine = self._sums
+        wide = total.astype(np.int64)
+        mine[0][:] += (wide + n * step).astype(np.int32)
+        mine[1][:] += squares + 2 * step * wide + n * step**2
+        mine[2][:] += weighted + weights * wide + step * (sum_of_weights + n * weights)
 
     @property
     def count(self) -> int:
@@ -75,7 +110,7 @@ class Accumulator:
     @property
     def level_dn(self) -> float:
         """Mean level of the frames so far."""
-        return float(np.mean(self._levels)) + self._shift
+        return float(np.mean(self._levels))
 
     def series(self) -> Series:
         """Mean, variance, and the variance about the common level.
@@ -86,22 +121,47 @@ class Accumulator:
         n = self.count
         if n == 0:
             raise BadInput("a stack of no frames")
-        mean = self._sum / n
-        squares = self._sum_sq - self._sum * mean  # sum of squared deviations
-        nothing = np.full(mean.shape, np.nan)
-        levels = np.array(self._levels)
-        spread = float(np.sum((levels - levels.mean()) ** 2))
-        cross = self._weighted - levels.mean() * self._sum
-        if n >= MIN_FRAMES_FOR_SLOPE and spread > 0:
-            slope, freedom = cross / spread, n - 2
-            steady = np.maximum(squares - cross * slope, 0)
-        else:  # too few frames for a slope of its own: every pixel follows the level (the pair formula of EMVA 1288)
-            slope, freedom = np.ones(mean.shape), n - 1
-            steady = np.maximum(squares - 2 * cross + spread, 0)
-        stack = FrameStack(mean_dn=mean + self._shift, variance_dn2=squares / (n - 1) if n > 1 else nothing, sum_dn=self._sum,
-                           sum_sq_dn2=self._sum_sq, shift_dn=self._shift, count=n)
-        return Series(stack=stack, levels_dn=levels + self._shift, freedom=freedom, slope=slope,
-                      steady_variance_dn2=steady / freedom if freedom else nothing)
+        self._add_waiting()
+        total, squares, weighted = self._sums
+        weights = np.array(self._weights) / WEIGHTS_PER_DN
+        spread = float(np.sum((weights - weights.mean()) ** 2))
+        # With too few frames for a slope of its own every pixel follows the level (the pair formula of EMVA 1288).
+        own_slope = n >= MIN_FRAMES_FOR_SLOPE and spread > 0
+        freedom = n - 2 if own_slope else n - 1
+        steady = np.empty(total.size, np.float32)
+        steady_squares(total, squares, weighted, n, float(sum(self._weights)), 1 / WEIGHTS_PER_DN, spread, own_slope, steady)
+        if freedom:
+            steady /= np.float32(freedom)
+        else:
+            steady[:] = np.nan
+        stack = FrameStack(sum_dn=total.reshape(self._shape), sum_sq_dn2=squares.reshape(self._shape), shift_dn=self._shift,
+                           count=n)
+        self._lent = True
+        return Series(stack=stack, levels_dn=np.array(self._levels), freedom=freedom,
+                      steady_variance_dn2=steady.reshape(self._shape))
+
+    def _add_waiting(self) -> None:
+        if self._sums is None:
+            pixels = self._shape[0] * self._shape[1]
+            self._sums = np.zeros(pixels, np.int32), np.zeros(pixels, np.int64), np.zeros(pixels, np.int64)
+        count = len(self._waiting)
+        if count:
+            self._own_sums()
+            weights = np.array(self._weights[-count:], np.int32)
+            frames = tuple(self._waiting) + (self._waiting[0],) * (BATCH - count)
+            add_frames(frames, count, np.int32(self._shift), weights, *self._sums)
+            self._waiting.clear()
+
+    def _own_sums(self) -> None:
+        if self._lent:
+            self._sums, self._lent = tuple(part.copy() for part in self._sums), False
+
+    def _require_room(self, file: str | None) -> None:
+        """Every integer stays below its type's end: weight and sum(x) in int32, n sum(x^2) and sum(weight x) in int64."""
+        n, x = self.count + 1, self._widest
+        if max(n, WEIGHTS_PER_DN) * x >= 2**31 or (n * x) ** 2 >= 2**63 or n * x * WEIGHTS_PER_DN * x >= 2**63:
+            raise BadInput(f"more than {self.count} frames of values this wide do not fit into exact sums", file=file,
+                           mend="give fewer frames")
 
 
 def accumulate(frames: Iterable[Frame]) -> FrameStack:

@@ -19,6 +19,7 @@ class Frame:
     data: (H, W), unsigned integers or float32, DN, right-aligned (left-aligned data are shifted by the reader).
     bit_depth: significant bits of the converter; saturation is `white_level_dn`.
     gain_setting: the camera's setting, never e-/DN; egain_e_per_dn: e- per DN where a header states it.
+    photons_per_px: mean number of photons that met a pixel in this exposure, where the bench knows its lamp.
     date_obs: ISO 8601, UTC. lossy: the file went through 8-bit or JPEG.
     range_assumed: no source states the converter's bits; bit_depth and white_level_dn are guesses. notes: what the reader
     had to assume.
@@ -35,6 +36,7 @@ class Frame:
     temperature_c: float | None = None
     bayer_pattern: str | None = None
     pixel_size_um: float | None = None
+    photons_per_px: float | None = None
     date_obs: str | None = None
     camera: str | None = None
     lossy: bool = False
@@ -67,21 +69,34 @@ class Frame:
 class FrameStack:
     """One pass over `count` frames taken alike: exact integer sums, from which mean and temporal variance follow.
 
-    mean_dn, variance_dn2: (H, W) float64; variance with count - 1 (NaN where count is 1).
-    sum_dn, sum_sq_dn2: (H, W) int64, sums of (data - shift_dn) and of its square.
+    sum_dn (H, W) int32, sum_sq_dn2 (H, W) int64: sums of (data - shift_dn) and of its square.
     """
 
-    mean_dn: np.ndarray
-    variance_dn2: np.ndarray
     sum_dn: np.ndarray
     sum_sq_dn2: np.ndarray
     shift_dn: int
     count: int
 
     def __post_init__(self) -> None:
-        shape = np.shape(self.mean_dn)
-        settle(self, **{n: frozen(getattr(self, n), name=f"FrameStack.{n}", shape=shape)
-                        for n in ("mean_dn", "variance_dn2", "sum_dn", "sum_sq_dn2")})
+        shape = np.shape(self.sum_dn)
+        settle(self, **{n: frozen(getattr(self, n), name=f"FrameStack.{n}", shape=shape) for n in ("sum_dn", "sum_sq_dn2")})
+
+    @property
+    def mean_dn(self) -> np.ndarray:
+        """(H, W) float64, made anew at each call: a stack of a large sensor is kept as its sums alone."""
+        mean = self.sum_dn / self.count
+        mean += self.shift_dn
+        return mean
+
+    @property
+    def variance_dn2(self) -> np.ndarray:
+        """(H, W) float64 with count - 1; NaN where count is 1. Made anew at each call; exactly 0 where nothing changed."""
+        n = self.count
+        if n == 1:
+            return np.full(self.sum_dn.shape, np.nan)
+        squares = self.sum_sq_dn2 * n
+        squares -= self.sum_dn.astype(np.int64) ** 2
+        return squares / (n * (n - 1))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,64 @@
+"""Sums over frames, pixel by pixel: integers throughout, so that the order of the frames and of merging cannot matter.
+
+Images are flat (H * W,) here. Blocks of the sums stay in the cache while the frames of a batch pass over them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..kernels import compiled
+
+BLOCK = 2048
+
+
+@compiled
+def add_frames(frames, count, shift, weights, total, squares, weighted):
+    """Add the first `count` of a tuple of frames, with x = frame - shift: x to total (int32), x^2 and weight x to int64 sums.
+
+    weights: (count or more,) int32, one a frame.
+    """
+    for low in range(0, total.size, BLOCK):
+        high = min(total.size, low + BLOCK)
+        t, q, w = total[low:high], squares[low:high], weighted[low:high]
+        f = 0
+        while f + 4 <= count:  # four a turn: the sums are loaded and stored once for them
+            a, b, c, d = frames[f][low:high], frames[f + 1][low:high], frames[f + 2][low:high], frames[f + 3][low:high]
+            wa, wb, wc, wd = weights[f], weights[f + 1], weights[f + 2], weights[f + 3]
+            for i in range(high - low):
+                xa, xb = np.int64(np.int32(a[i]) - shift), np.int64(np.int32(b[i]) - shift)
+                xc, xd = np.int64(np.int32(c[i]) - shift), np.int64(np.int32(d[i]) - shift)
+                t[i] += xa + xb + xc + xd
+                q[i] += xa * xa + xb * xb + xc * xc + xd * xd
+                w[i] += np.int64(wa) * xa + np.int64(wb) * xb + np.int64(wc) * xc + np.int64(wd) * xd
+            f += 4
+        while f < count:
+            a, wa = frames[f][low:high], weights[f]
+            for i in range(high - low):
+                x = np.int64(np.int32(a[i]) - shift)
+                t[i] += x
+                q[i] += x * x
+                w[i] += np.int64(wa) * x
+            f += 1
+
+
+@compiled
+def steady_squares(total, squares, weighted, count, weight_sum, dn_per_weight, spread_dn2, own_slope, out):
+    """Each pixel's sum of squared deviations with its part common to all pixels taken out, into out (float32).
+
+    spread_dn2: sum of squared deviations of the weights, as DN. own_slope: the common part is the pixel's regression on the
+    weights; else every pixel follows them one to one.
+    """
+    for i in range(total.size):
+        own = np.float64(count * squares[i] - np.int64(total[i]) * np.int64(total[i])) / count
+        cross = (np.float64(weighted[i]) - weight_sum * np.float64(total[i]) / count) * dn_per_weight
+        out[i] = max(own - cross * cross / spread_dn2, 0.0) if own_slope else max(own - 2 * cross + spread_dn2, 0.0)
+
+
+@compiled
+def band_sums(data, band_px, bands):
+    """Add up the rows of data (H, W) in bands of `band_px` rows, into bands (B, W); the last band takes the rows left over."""
+    for y in range(data.shape[0]):
+        line, band = data[y], bands[min(y // band_px, bands.shape[0] - 1)]
+        for x in range(data.shape[1]):
+            band[x] += line[x]
