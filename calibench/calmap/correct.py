@@ -1,10 +1,12 @@
 """The map applied to a frame: offset and dark removed, response divided out, variance and defects beside it.
 
-    signal   = (data - offset - dark rate * exposure) / response                                        [DN]
-    variance = (max(read noise^2, 1/12) + gain * max(data - offset, 0)) / response^2                    [DN^2]
+    charge   = linearised (data - offset)                                                               [DN]
+    signal   = (charge - dark rate * exposure) / response                                               [DN]
+    variance = (slope^2 max(read noise^2, 1/12) + gain * max(charge, 0)) / response^2                   [DN^2]
 
 This is the linear camera model of EMVA 1288 (release 4.0 Linear, section 2): shot noise of `gain` DN/e- on all charge
-collected, light and dark alike. The illumination layer is not divided out: it belongs to lens and lamp, not to a star.
+collected, light and dark alike; slope: of the linearity curve (1 without one). The illumination layer is not divided out: it
+belongs to lens and lamp, not to a star.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import numpy as np
 from ..errors import BadInput
 from ..records import DEFECT_FLAGS, UNUSABLE, CalibrationMap, CorrectedFrame, Frame
 from .conditions import outside_conditions, unchecked_conditions
+from .linearise import linearise
 
 __all__ = ["correct", "interpolate_defects", "outside_conditions", "require_size", "unchecked_conditions"]
 
@@ -51,7 +54,7 @@ def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
     require_size(frame, calmap)
     warnings = list(unchecked_conditions(frame, calmap))
 
-    charge_dn = frame.data.astype(np.float32) - calmap.offset_dn
+    charge_dn, slope = linearise(frame.data.astype(np.float32) - calmap.offset_dn, calmap)
     signal_dn = charge_dn
     if "dark_rate_dn_per_s" in calmap.measured:
         if frame.exposure_s is None:
@@ -69,7 +72,7 @@ def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
     defects |= ~responds * np.uint16(DEFECT_FLAGS["dead"])
 
     if "read_noise_dn" in calmap.measured:
-        variance_dn2 = np.maximum(calmap.read_noise_dn**2, np.float32(QUANTISATION_DN2))
+        variance_dn2 = slope**2 * np.maximum(calmap.read_noise_dn**2, np.float32(QUANTISATION_DN2))
         if "gain_dn_per_e" in calmap.measured:
             variance_dn2 = variance_dn2 + np.float32(calmap.gain_dn_per_e) * np.maximum(charge_dn, 0)
         variance_dn2 = variance_dn2 / response**2

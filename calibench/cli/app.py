@@ -8,14 +8,14 @@ import sys
 import typer
 
 from ..errors import CalibenchError
-from . import maps, measuring, sessions, simulating, sky
+from . import maps, measuring, sessions, simulating, sky, transfer
 
 TyperUsageError = typer.BadParameter.__base__  # typer exports only this child of its usage error
 
 app = typer.Typer(name="calibench", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
                   help="Camera calibration and characterization for star cameras: from lab frames to an attitude.",
                   rich_markup_mode=None)
-for room in (sessions, measuring, sky):
+for room in (sessions, measuring, transfer, sky):
     for command in room.COMMANDS:
         app.command(name=command.__name__.replace("_", "-"))(command)
 app.add_typer(maps.app, name="map")

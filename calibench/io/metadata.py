@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 
 from ..errors import Contradiction
+from ..records import Station
 
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 # Two sources agree within this: exposures are rounded in headers (1/30 s as 0.0333), temperatures to a tenth.
@@ -35,6 +36,8 @@ class FrameMetadata:
     black_level_dn: float | None = None
     white_level_dn: float | None = None
     pixel_size_um: float | None = None
+    photons_per_px: float | None = None
+    station: Station | None = None
     alignment: str | None = None
 
 
@@ -91,6 +94,8 @@ def utc(date_obs: str) -> datetime:
 def _agree(name: str, a: object, b: object) -> bool:
     if name == "date_obs":
         return abs((utc(str(a)) - utc(str(b))).total_seconds()) < 1.0
+    if isinstance(a, Station):
+        return a == b
     if isinstance(a, str):
         return a.strip().lower() == str(b).strip().lower()
     tolerance = TEMPERATURE_TOLERANCE_C if name == "temperature_c" else 0.0

@@ -16,6 +16,7 @@ from types import MappingProxyType
 
 from ..errors import BadInput, SeveralProblems
 from .metadata import BAYER_PATTERNS, FrameMetadata, kind_of, merge, utc
+from .station import station_of
 
 FOLDER_SIDECAR = "frames.toml"
 MAX_BYTES = 1_000_000
@@ -68,6 +69,8 @@ def _metadata(said: Mapping[str, object]) -> FrameMetadata:
     values = {key: value for key, value in said.items() if key in FrameMetadata.__dataclass_fields__}
     if "exposure_rows" in said and "row_time_s" in said and "exposure_s" not in said:
         values["exposure_s"] = exposure_from_rows(said["exposure_rows"], said["row_time_s"], said.get("overhead_s", 0.0))
+    if "station" in values:
+        values["station"] = station_of(values["station"])
     if "kind" in values:
         values["kind"] = kind_of(values["kind"])
     if "bayer_pattern" in values:
@@ -167,9 +170,10 @@ _RULES: dict[str, tuple[Callable[[object], bool], str]] = {
     "kind": ((lambda value: isinstance(value, str) and kind_of(value) is not None), "one of dark, flat, light"),
     "bayer_pattern": ((lambda value: isinstance(value, str) and value.upper() in BAYER_PATTERNS),
                       "one of " + ", ".join(BAYER_PATTERNS)),
+    "station": ((lambda value: isinstance(value, dict)), "a table: [station] with its own keys"),
     "date_obs": (_is_date, "an ISO 8601 date in quotes, UTC"), "camera": _TEXT,
     "bit_depth": (_integer(1, 16), "a whole number of bits, 1 to 16"),
-    "black_level_dn": _ANY_NUMBER, "white_level_dn": _POSITIVE, "pixel_size_um": _POSITIVE,
+    "black_level_dn": _ANY_NUMBER, "white_level_dn": _POSITIVE, "pixel_size_um": _POSITIVE, "photons_per_px": _NOT_NEGATIVE,
     "width": _PIXELS, "height": _PIXELS, "offset_bytes": (_integer(0, 2**40), "a whole number of bytes, at least 0"),
     "dtype": _one_of("uint8", "uint16", "float32"), "endianness": _one_of("little", "big"),
     "packing": _one_of(*PACKINGS), "alignment": _one_of("left", "right"),

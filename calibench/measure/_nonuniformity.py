@@ -2,7 +2,8 @@
 
 EMVA 1288 release 4 Linear, 8: the variance of the mean of L frames holds sigma^2/L of temporal noise, which is subtracted;
 the high-pass (8.1) subtracts the image smoothed by a 7x7 box, an 11x11 box and a 3x3 binomial. It passes only
-NOISE_GAIN of white noise, so only that part of sigma^2/L may be subtracted after it.
+NOISE_GAIN of white noise, so only that part of sigma^2/L may be subtracted after it. Of noise in the means of whole rows or
+columns the filter sees one dimension only and passes LINE_NOISE_GAIN.
 """
 
 from __future__ import annotations
@@ -15,15 +16,14 @@ import numpy as np
 BINOMIAL = np.array([0.25, 0.5, 0.25])
 
 
-def _noise_gain() -> float:
+def _noise_gain(dimensions: int) -> float:
     """Variance of filtered white noise over its variance: 1 - 2 h(0) + sum h^2, for the filter's impulse response."""
     line = np.convolve(np.convolve(np.full(7, 1 / 7), np.full(11, 1 / 11)), BINOMIAL)
-    response = -np.outer(line, line)
-    response[len(line) // 2, len(line) // 2] += 1
-    return float(np.sum(response**2))
+    smooth = line if dimensions == 1 else np.outer(line, line)
+    return float(1 - 2 * smooth.max() + np.sum(smooth**2))
 
 
-NOISE_GAIN = _noise_gain()  # 0.98850
+NOISE_GAIN, LINE_NOISE_GAIN = _noise_gain(2), _noise_gain(1)  # 0.98850, 0.88906
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +33,16 @@ class Spatial:
     sd: float
     uncertainty: float
     signed_variance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parts:
+    """The whole nonuniformity and its split into rows, columns and what is left to the pixels (release 4, 8.1)."""
+
+    total: Spatial
+    row: Spatial
+    column: Spatial
+    pixel: Spatial
 
 
 def high_pass(image: np.ndarray) -> np.ndarray:
@@ -54,9 +64,43 @@ def spatial_1288(mean: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
 
 def spatial_core(mean: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
     """The bulk of the pixels: high-passed, scale from the interquartile range, so that few defects do not carry it."""
-    low, high = np.percentile(high_pass(mean), (25, 75))
+    return core(high_pass(mean), temporal_variance_of_mean)
+
+
+def core(filtered: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
+    """As `spatial_core`, from a mean image that went through `high_pass`."""
+    low, high = np.percentile(filtered, (25, 75))
     sigma = float(high - low) / 1.34898
-    return _corrected(sigma**2, NOISE_GAIN * temporal_variance_of_mean, mean.size, efficiency=0.37)
+    return _corrected(sigma**2, NOISE_GAIN * temporal_variance_of_mean, filtered.size, efficiency=0.37)
+
+
+def split(image: np.ndarray, temporal_variance_of_mean: float, *, filtered: bool) -> Parts:
+    """Nonuniformity of a mean image (H, W), as it is or after `high_pass`, with the temporal noise taken off each part.
+
+    Rows and columns follow from the variances of the row and the column means, exactly: a column mean holds 1/H of the
+    pixels' variance too, and so on (release 4, 8.1).
+    """
+    h, w = image.shape
+    whole, line = (NOISE_GAIN, LINE_NOISE_GAIN) if filtered else (1.0, 1.0)
+    t = temporal_variance_of_mean
+    s2 = float(np.var(image, ddof=1)) - whole * t
+    columns, rows = (float(np.var(image.mean(axis=axis), ddof=1)) for axis in (0, 1))
+    of_columns, of_rows = columns - line * t / h, rows - line * t / w
+    rest = h * w - h - w
+    column = ((h * w - h) * of_columns - w * (s2 - of_rows)) / rest
+    row = ((h * w - w) * of_rows - h * (s2 - of_columns)) / rest
+    pixel = h * w * (s2 - of_columns - of_rows) / rest
+    column_error, row_error = columns * np.sqrt(2 / (w - 1)), rows * np.sqrt(2 / (h - 1))
+    pixel_error = _variance_error(image)
+    return Parts(total=_spatial(s2, float(np.sqrt(pixel_error**2 + column_error**2 + row_error**2))),
+                 row=_spatial(row, row_error), column=_spatial(column, column_error), pixel=_spatial(pixel, pixel_error))
+
+
+def _variance_error(image: np.ndarray) -> float:
+    """1-sigma error of the variance over the pixels, by the fourth moment: a few hot pixels make it large."""
+    deviation = image - image.mean()
+    square = deviation * deviation
+    return float(np.std(square) / np.sqrt(image.size))
 
 
 def _corrected(measured: float, temporal: float, pixels: int, efficiency: float = 1.0) -> Spatial:

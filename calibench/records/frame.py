@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import BadInput
 from .arrays import frozen, settle
+from .station import Station
 
 KINDS = ("dark", "flat", "light", "unknown")
 
@@ -20,8 +21,8 @@ class Frame:
     bit_depth: significant bits of the converter; saturation is `white_level_dn`.
     gain_setting: the camera's setting, never e-/DN; egain_e_per_dn: e- per DN where a header states it.
     photons_per_px: mean number of photons that met a pixel in this exposure, where the bench knows its lamp.
-    date_obs: ISO 8601, UTC. lossy: the file went through 8-bit or JPEG.
-    range_assumed: no source states the converter's bits; bit_depth and white_level_dn are guesses. notes: what the reader
+    date_obs: ISO 8601, UTC, start of the exposure. station: place or velocity, air and shutter.
+    lossy: the file went through 8-bit or JPEG. range_assumed: no source states the converter's bits; bit_depth and white_level_dn are guesses. notes: what the reader
     had to assume.
     """
 
@@ -39,6 +40,7 @@ class Frame:
     photons_per_px: float | None = None
     date_obs: str | None = None
     camera: str | None = None
+    station: Station | None = None
     lossy: bool = False
     range_assumed: bool = False
     file: str = ""

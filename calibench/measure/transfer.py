@@ -1,0 +1,178 @@
+"""Photon transfer: everything that an EMVA 1288 release 4 Linear datasheet holds, from a ladder of light and its darks.
+
+1. Frames stream into levels (alike in kind, exposure and light); a level is reduced to a few sums (`_photon/levels.py`).
+2. Each plane of a mosaic apart: the curve of mean and temporal variance above dark, its saturation (`_photon/curve.py`).
+3. Gain, quantum efficiency, noise, threshold, linearity, dark current (`_photon/parameters.py`).
+4. Nonuniformity of the dark and of the lit stack, raw and high-passed, split into rows, columns, pixels (`_photon/plane.py`).
+5. A correction of the response's bend, where held-out levels show that it helps (`_photon/linearity.py`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import BadInput
+from ..records import CalibrationMap, Frame, Measurement, Quantity
+from ._darkness import check_dark
+from ._ladder import MAX_EXPOSURE_S
+from ._ledger import Ledger
+from ._photon.curve import FITTED_FILL, Curve, Darks, darks_of
+from ._photon.levels import Level, Levels
+from ._photon.linearity import correction
+from ._photon.plane import Image, Plane, analyse
+
+MEND = "take a ladder of about 50 (at least 9) even steps from dark to saturation, two frames each, and darks of each exposure"
+FEW_LEVELS = 9
+FLICKER, DIM = 0.002, 0.05  # relative scatter of the frames of a level, at this part of saturation and above
+CORRELATED, CORRELATED_SIGMA = 0.01, 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """irradiance_photons_per_px_s: photons a pixel receives each second at every light level, where the lamp is constant and
+    known; 0: not known, then no quantum efficiency. lens: was a lens mounted, "yes", "no" or "" (not stated): with one, the
+    figures are those of the system, its shading included.
+    """
+
+    irradiance_photons_per_px_s: float = 0.0
+    lens: str = ""
+
+
+def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: CalibrationMap | None = None) -> Measurement:
+    """All figures of a photon transfer series; darks (kind 'dark') among the frames, else the map's dark layers serve.
+
+    Raises:
+        BadInput: no light or no darks, mixed settings, one frame a level, too few levels, swapped darks, absurd exposures.
+    """
+    settings = settings or Settings()
+    if settings.lens not in ("yes", "no", ""):
+        raise BadInput(f"lens is '{settings.lens}'", mend="say yes or no, or leave it out")
+    ledger = Ledger(settings, "transfer frames")
+    gathered = _gather(frames, ledger, settings)
+    first = ledger.first
+    planes: dict[str, Plane] = {}
+    for i, (name, levels) in enumerate(gathered.levels.items()):
+        lit, darks = [v for v in levels if not v.dark], _darks(levels, calmap, first, i)
+        if not lit:
+            raise BadInput("no level of light has two frames", mend=MEND)
+        dark, bright = (_image(gathered, i, is_dark) for is_dark in (True, False))
+        planes[name] = analyse(lit, darks, dark, bright, first.white_level_dn)
+    curves = [plane.curve for plane in planes.values()]
+    quantities = _all_planes(planes)
+    gain = next(q for q in quantities if q.name == "gain_dn_per_e")
+    layers = {"gain_dn_per_e": gain.value}
+    if all(c.saturation is not None for c in curves):
+        layers["saturation_dn"] = min(_saturation_dn(c) for c in curves)
+    linear = correction(curves)
+    if linear is not None:
+        layers["linearity_dn"] = linear
+    evidence = {f"{key}_{name}" if name else key: value for name, plane in planes.items()
+                for key, value in plane.evidence.items()}
+    return Measurement(
+        name="transfer", image_size_px=first.image_size_px, quantities=quantities, layers=layers, evidence=evidence,
+        provenance=ledger.provenance(), warnings=_warnings(ledger, planes, settings, linear),
+        frames_used=sum(v.count for v in next(iter(gathered.levels.values()))), frames_rejected=tuple(ledger.rejected))
+
+
+def _gather(frames: Iterable[Frame], ledger: Ledger, settings: Settings) -> Levels:
+    gathered = None
+    dark_seen = set()
+    for frame in frames:
+        if frame.exposure_s is not None and frame.exposure_s > MAX_EXPOSURE_S:
+            raise BadInput(f"an exposure of {frame.exposure_s:g} s is longer than a day", file=frame.file or None,
+                           mend="give exposures in seconds (in nanoseconds in a descriptor)")
+        if frame.kind == "dark" and frame.exposure_s not in dark_seen:  # one of each: the check costs more than the sums
+            check_dark(frame)
+            dark_seen.add(frame.exposure_s)
+        if not ledger.take(frame):
+            continue
+        photons = frame.photons_per_px
+        if photons is None and settings.irradiance_photons_per_px_s > 0 and frame.exposure_s is not None:
+            photons = settings.irradiance_photons_per_px_s * frame.exposure_s
+        gathered = gathered or Levels(frame.bayer_pattern)
+        gathered.add(frame, photons)
+    if gathered is None:
+        raise BadInput("no frames were given", mend=MEND)
+    gathered.close()
+    ledger.rejected += [(file, "the only frame of its level: the temporal noise needs two") for file in gathered.single]
+    if not any(gathered.levels.values()):
+        raise BadInput("every level has one frame only: the temporal noise needs two frames of each", mend=MEND)
+    return gathered
+
+
+def _darks(levels: list[Level], calmap: CalibrationMap | None, first: Frame, plane: int) -> Darks:
+    dark = [v for v in levels if v.dark]
+    if dark:
+        return darks_of(dark)
+    if calmap is None or not {"offset_dn", "read_noise_dn"} <= calmap.measured:
+        raise BadInput("no darks of two frames are among the frames, and no map with offset and read noise was given",
+                       mend="add darks of each exposure, two frames each, or give --map")
+    if calmap.image_size_px != first.image_size_px:
+        raise BadInput(f"the map is of {calmap.image_size_px} px, the frames of {first.image_size_px} px")
+    place = np.s_[:, :] if first.bayer_pattern is None else np.s_[plane // 2::2, plane % 2::2]
+    offset, rate, noise = (float(np.mean(getattr(calmap, n)[place].astype(float) ** p)) for n, p in (
+        ("offset_dn", 1), ("dark_rate_dn_per_s", 1), ("read_noise_dn", 2)))
+    t = np.array([0.0, 1.0])
+    return Darks(exposure_s=t, mean_dn=offset + rate * t, mean_error_dn=np.full(2, 1e-9), variance_dn2=np.full(2, noise),
+                 variance_error_dn2=np.full(2, noise * np.sqrt(2 / calmap.read_noise_dn[place].size)))
+
+
+def _image(gathered: Levels, plane: int, dark: bool) -> Image | None:
+    stack = gathered.stacks.get(dark)
+    return None if stack is None else Image(mean_dn=stack.means_dn[plane], level=stack.levels[plane])
+
+
+def _all_planes(planes: dict[str, Plane]) -> tuple[Quantity, ...]:
+    """Of a mosaic: each plane's figures under its name, and their mean without one."""
+    if list(planes) == [""]:
+        return planes[""].quantities
+    out = []
+    for same in zip(*(plane.quantities for plane in planes.values()), strict=True):
+        one = same[0]
+        missing = next((q for q in same if q.value is None), None)
+        mean = None if missing else float(np.mean([q.value for q in same]))
+        error = None if missing else float(np.linalg.norm([q.uncertainty for q in same]) / len(same))
+        out.append(dataclasses.replace(one, value=mean, uncertainty=error, source=f"{one.source}; mean over the colour planes",
+                                       reason=(missing or one).reason))
+        out += [dataclasses.replace(q, name=f"{q.name}_{name}") for name, q in zip(planes, same, strict=True)]
+    return tuple(out)
+
+
+def _saturation_dn(curve: Curve) -> float:
+    """DN at and above which a pixel of a frame counts as full: the largest value, or where the variance falls."""
+    return curve.top_dn if curve.saturated_by.startswith("last") else float(curve.mean_dn[curve.saturation])
+
+
+def _warnings(ledger: Ledger, planes: dict[str, Plane], settings: Settings, linear: np.ndarray | None) -> tuple[str, ...]:
+    first, out = ledger.first, list(ledger.warnings)
+    curve = next(iter(planes.values())).curve
+    if first.bit_depth <= 8:
+        out.append("8-bit frames: quantisation hides the dark noise and bends the dim end of the curve")
+    if curve.fitted.sum() < FEW_LEVELS:
+        out.append(f"{curve.fitted.sum()} levels up to 70 % of saturation: the standard wants {FEW_LEVELS} at least")
+    if curve.saturation is None:
+        out.append("saturation was not reached: saturation capacity, SNR max and dynamic range are left out")
+    if not curve.own_dark:
+        out.append("not every light level has darks of its own exposure: the dark below is common or interpolated")
+    worst = max(float(np.max(c.flicker[c.below(FITTED_FILL, DIM)], initial=0.0)) for c in (p.curve for p in planes.values()))
+    if worst > FLICKER:
+        out.append(f"frames of one level differ by up to {100 * worst:.2g} % (1 sigma): the lamp flickers or drifts; taken "
+                   "off the temporal noise, as the standard has it")
+    for name, plane in planes.items():
+        which = f"plane {name}: " if name else ""
+        if plane.gain_remark:
+            out.append(f"{which}gain: {plane.gain_remark}")
+        smear = 2 * sum(figure.value for figure in plane.correlation)
+        if abs(smear) > CORRELATED and abs(smear) > CORRELATED_SIGMA * 2 * np.hypot(*(f.error for f in plane.correlation)):
+            right, lower = (f"{figure.value:+.3f}" for figure in plane.correlation)
+            out.append(f"{which}the temporal noise of neighbouring pixels is correlated (right {right}, lower {lower}): the "
+                       f"gain is off by about {-100 * smear:.1f} %; crosstalk, or processed frames?")
+    if linear is not None:
+        out.append("the response bends: a correction of it goes into the map")
+    lens = {"yes": "a lens was mounted: figures of the whole system, its shading included", "no": ""}.get(
+        settings.lens, "whether a lens was mounted is not stated: without one the figures are the sensor's")
+    return tuple(out + [lens] * bool(lens))
