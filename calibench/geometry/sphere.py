@@ -1,8 +1,13 @@
-"""The sphere: unit vectors, right ascension and declination, pointing and roll, aberration."""
+"""The sphere: unit vectors, right ascension and declination, pointing and roll, aberration, refraction."""
 
 from __future__ import annotations
 
 import numpy as np
+
+from ..records import Observer, Refraction
+
+LEAST_COSINE = 0.05  # altitude 2.9 degrees, below which ERFA's formula is held where it is
+INVERSE_STEPS = 8
 
 
 def unit_from_radec(ra_rad: np.ndarray, dec_rad: np.ndarray) -> np.ndarray:
@@ -64,3 +69,51 @@ def aberrate(v: np.ndarray, velocity_c: np.ndarray) -> np.ndarray:
 def remove_aberration(v: np.ndarray, velocity_c: np.ndarray) -> np.ndarray:
     """The inverse of `aberrate`: the same boost with the opposite velocity."""
     return aberrate(v, -np.asarray(velocity_c, float))
+
+
+def refract(v: np.ndarray, refraction: Refraction) -> np.ndarray:
+    """Directions (..., 3) as seen through the air: raised towards the zenith; below 2.9 degrees of altitude the bend is held.
+
+    "erfa": dz = A tan z + B tan^3 z of the observed z, from the true one by one Newton step (ERFA, eraAtioq).
+    "bennett": R = cot(h + 7.31 / (h + 4.4)) arcmin of the apparent altitude h, degrees (Bennett 1982), found by iteration.
+    """
+    v, zenith = np.asarray(v, float), refraction.zenith_icrs
+    cosine = (v @ zenith)[..., None]
+    level = v - cosine * zenith
+    sine = np.maximum(np.linalg.norm(level, axis=-1, keepdims=True), 1e-6)
+    held = np.maximum(cosine, LEAST_COSINE)
+    if refraction.model == "erfa":
+        a, b = refraction.constants_rad
+        tangent = sine / held
+        cubic = b * tangent**2
+        bent = (a + cubic) * tangent / (1 + (a + 3 * cubic) / held**2)
+    else:
+        true_deg = np.degrees(np.arctan2(held, sine))
+        bent = np.zeros_like(true_deg)
+        for _ in range(INVERSE_STEPS):
+            h = true_deg + np.degrees(bent)
+            bent = refraction.constants_rad[0] / np.tan(np.radians(h + 7.31 / (h + 4.4)))
+    return v * np.cos(bent) + (sine * zenith - cosine * level / sine) * np.sin(bent)
+
+
+def remove_refraction(v: np.ndarray, refraction: Refraction) -> np.ndarray:
+    """The inverse of `refract`."""
+    v = np.asarray(v, float)
+    true = v
+    for _ in range(INVERSE_STEPS):
+        true = true + v - refract(true, refraction)
+        true = true / np.linalg.norm(true, axis=-1, keepdims=True)
+    return true
+
+
+def as_seen(v: np.ndarray, observer: Observer) -> np.ndarray:
+    """Geometric directions (..., 3), ICRS axes, as the observer sees them: aberration, then refraction."""
+    seen = aberrate(v, observer.velocity_c)
+    return seen if observer.refraction is None else refract(seen, observer.refraction)
+
+
+def as_catalogued(v: np.ndarray, observer: Observer) -> np.ndarray:
+    """The inverse of `as_seen`: where a catalogue says that a seen direction (..., 3) is."""
+    if observer.refraction is not None:
+        v = remove_refraction(v, observer.refraction)
+    return remove_aberration(v, observer.velocity_c)

@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 from collections.abc import Sequence
 from functools import cache
@@ -83,7 +82,7 @@ def read_frame(path: Path, kind: str | None = None, *, protocol: FrameMetadata |
     if known.exposure_s is not None and known.exposure_s < 0:
         raise BadInput(f"the stated exposure is {known.exposure_s:g} s", file=path, mend="correct the exposure")
     settled = _settled_values(reading, known, path)
-    said = {name: value for name, value in dataclasses.asdict(known).items() if name != "alignment"}
+    said = {name: value for name, value in vars(known).items() if name != "alignment"}
     return Frame(**(said | settled | {"kind": known.kind or kind or "unknown", "file": str(path),
                                       "sha256": hashlib.sha256(raw).hexdigest()}))
 

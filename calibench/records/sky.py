@@ -1,4 +1,4 @@
-"""Nouns of the sky wing: Spots, StarTable, Observer, Identification, Attitude."""
+"""Nouns of the sky wing: Spots, StarTable, Identification, Attitude."""
 
 from __future__ import annotations
 
@@ -87,24 +87,6 @@ class StarTable:
         """The stars of these rows (index or mask), in that order."""
         arrays = {f: getattr(self, f)[rows] for f in self.__dataclass_fields__ if f not in ("epoch_jyear", "source")}
         return StarTable(epoch_jyear=self.epoch_jyear, source=self.source, **arrays)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Observer:
-    """When and how fast: star positions are wanted at `epoch_jyear`, seen from a place moving at velocity_c.
-
-    velocity_c: (3,) barycentric velocity in units of the speed of light, ICRS axes; zero where no date is known.
-    position_au: (3,) barycentric position, for parallax.
-    """
-
-    epoch_jyear: float = 2000.0
-    velocity_c: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    position_au: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    dated: bool = False
-
-    def __post_init__(self) -> None:
-        settle(self, velocity_c=frozen(self.velocity_c, name="Observer.velocity_c", shape=(3,), dtype=float),
-               position_au=frozen(self.position_au, name="Observer.position_au", shape=(3,), dtype=float))
 
 
 @dataclass(frozen=True, kw_only=True)
