@@ -15,7 +15,7 @@ from ..records import Frame
 from .kernels import band_sums
 
 BLOCK_PX = 32
-WIDEST_BITS = 22  # of one frame's values, for sums of many to stay exact
+WIDEST_BITS = 21  # of one frame's values, for sums of many to stay exact
 
 
 @dataclass(frozen=True, kw_only=True)

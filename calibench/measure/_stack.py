@@ -42,13 +42,13 @@ class Accumulator:
 
     def __init__(self) -> None:
         self._levels: list[float] = []
-        self._weights: list[int] = []  # level of each frame above the shift, in steps of 1 / WEIGHTS_PER_DN
+        self._weights: list[int] = []  # level of each frame above `reference`, in steps of 1 / WEIGHTS_PER_DN
+        self._reference_dn = 0
         self._waiting: list[np.ndarray] = []
         self._sums: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self._lent = False  # a series holds the sums: they are copied before the next frame is added
         self._shape: tuple[int, int] | None = None
-        self._shift = 0
-        self._widest = 0  # largest |pixel - shift|
+        self._widest = 0  # largest |pixel|
 
     def add(self, frame: Frame) -> None:
         """Add a frame.
@@ -58,19 +58,18 @@ class Accumulator:
                 exact sums can hold (32,000 of the full 16 bits; of narrower values more).
         """
         seen = glance(frame)
+        values, pixels = seen.values, seen.values.size
         if self._shape is None:
-            self._shape, self._shift = seen.values.shape, round(seen.level_dn)
-        if seen.values.shape != self._shape:
+            self._shape, self._reference_dn = values.shape, round(seen.level_dn)
+        if values.shape != self._shape:
             raise BadInput(f"image size is {frame.image_size_px} px, but {self._shape[::-1]} px before",
                            file=frame.file or None)
-        self._widest = max(self._widest, seen.largest - self._shift, self._shift - seen.smallest)
-        self._require_room(frame.file or None)
-        if self._waiting and self._waiting[0].dtype != seen.values.dtype:
+        self._require_room(self.count + 1, max(self._widest, seen.largest, -seen.smallest), frame.file or None)
+        if self._waiting and self._waiting[0].dtype != values.dtype:
             self._add_waiting()
-        pixels = seen.values.size
-        self._weights.append((WEIGHTS_PER_DN * (seen.total_dn - self._shift * pixels) + pixels // 2) // pixels)
+        self._weights.append((WEIGHTS_PER_DN * (seen.total_dn - self._reference_dn * pixels) + pixels // 2) // pixels)
         self._levels.append(seen.level_dn)
-        self._waiting.append(seen.values.reshape(-1))
+        self._waiting.append(values.reshape(-1))
         if len(self._waiting) == BATCH:
             self._add_waiting()
 
@@ -83,24 +82,19 @@ class Accumulator:
         if not other.count:
             return
         if self._shape is None:
-            self._shape, self._shift = other._shape, other._shift
+            self._shape, self._reference_dn = other._shape, other._reference_dn
         if other._shape != self._shape:
             raise BadInput(f"a stack of {other._shape[::-1]} px does not go with one of {self._shape[::-1]} px")
+        self._require_room(self.count + other.count, max(self._widest, other._widest), None)
         self._add_waiting()
         other._add_waiting()
-        step = other._shift - self._shift  # the other's pixels are smaller by this than ours of the same value
-        n, (total, squares, weighted) = other.count, other._sums
-        weights, sum_of_weights = WEIGHTS_PER_DN * step, sum(other._weights)
-        self._widest = max(self._widest, other._widest + abs(step))
-        self._weights += [w + weights for w in other._weights]
-        self._levels += other._levels
-        self._require_room(None)
         self._own_sums()
-        mine = self._sums
-        wide = total.astype(np.int64)
-        mine[0][:] += (wide + n * step).astype(np.int32)
-        mine[1][:] += squares + 2 * step * wide + n * step**2
-        mine[2][:] += weighted + weights * wide + step * (sum_of_weights + n * weights)
+        further = WEIGHTS_PER_DN * (other._reference_dn - self._reference_dn)
+        for mine, theirs in zip(self._sums, other._sums, strict=True):
+            mine += theirs
+        self._sums[2][:] += further * other._sums[0].astype(np.int64)
+        self._weights += [weight + further for weight in other._weights]
+        self._levels += other._levels
 
     @property
     def count(self) -> int:
@@ -134,9 +128,8 @@ class Accumulator:
             steady /= np.float32(freedom)
         else:
             steady[:] = np.nan
-        stack = FrameStack(sum_dn=total.reshape(self._shape), sum_sq_dn2=squares.reshape(self._shape), shift_dn=self._shift,
-                           count=n)
         self._lent = True
+        stack = FrameStack(sum_dn=total.reshape(self._shape), sum_sq_dn2=squares.reshape(self._shape), count=n)
         return Series(stack=stack, levels_dn=np.array(self._levels), freedom=freedom,
                       steady_variance_dn2=steady.reshape(self._shape))
 
@@ -148,20 +141,20 @@ class Accumulator:
         if count:
             self._own_sums()
             weights = np.array(self._weights[-count:], np.int32)
-            frames = tuple(self._waiting) + (self._waiting[0],) * (BATCH - count)
-            add_frames(frames, count, np.int32(self._shift), weights, *self._sums)
+            add_frames(tuple(self._waiting) + (self._waiting[0],) * (BATCH - count), count, weights, *self._sums)
             self._waiting.clear()
 
     def _own_sums(self) -> None:
         if self._lent:
             self._sums, self._lent = tuple(part.copy() for part in self._sums), False
 
-    def _require_room(self, file: str | None) -> None:
+    def _require_room(self, n: int, x: int, file: str | None) -> None:
         """Every integer stays below its type's end: weight and sum(x) in int32, n sum(x^2) and sum(weight x) in int64."""
-        n, x = self.count + 1, self._widest
-        if max(n, WEIGHTS_PER_DN) * x >= 2**31 or (n * x) ** 2 >= 2**63 or n * x * WEIGHTS_PER_DN * x >= 2**63:
-            raise BadInput(f"more than {self.count} frames of values this wide do not fit into exact sums", file=file,
+        weight = 2 * x * WEIGHTS_PER_DN  # level and reference may have either sign
+        if max(n * x, weight) >= 2**31 or (n * x) ** 2 >= 2**63 or n * x * weight >= 2**63:
+            raise BadInput(f"more than {n - 1} frames of values this wide do not fit into exact sums", file=file,
                            mend="give fewer frames")
+        self._widest = x
 
 
 def accumulate(frames: Iterable[Frame]) -> FrameStack:

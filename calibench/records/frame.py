@@ -71,12 +71,11 @@ class Frame:
 class FrameStack:
     """One pass over `count` frames taken alike: exact integer sums, from which mean and temporal variance follow.
 
-    sum_dn (H, W) int32, sum_sq_dn2 (H, W) int64: sums of (data - shift_dn) and of its square.
+    sum_dn (H, W) int32, sum_sq_dn2 (H, W) int64: sums of the data and of their squares.
     """
 
     sum_dn: np.ndarray
     sum_sq_dn2: np.ndarray
-    shift_dn: int
     count: int
 
     def __post_init__(self) -> None:
@@ -86,9 +85,7 @@ class FrameStack:
     @property
     def mean_dn(self) -> np.ndarray:
         """(H, W) float64, made anew at each call: a stack of a large sensor is kept as its sums alone."""
-        mean = self.sum_dn / self.count
-        mean += self.shift_dn
-        return mean
+        return self.sum_dn / self.count
 
     @property
     def variance_dn2(self) -> np.ndarray:
