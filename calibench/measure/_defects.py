@@ -1,9 +1,8 @@
-"""Which pixels stand out: robust deviation from the surroundings, and thresholds that state their false alarms.
+"""Which pixels stand out: robust deviation from the surroundings, and the rules that need no more than one map.
 
 1. Background: block medians, interpolated (each Bayer plane apart); then row and column medians.
 2. Core sigma: block-wise scale from the median absolute deviation, interpolated, so that a glow's shot noise counts.
-3. z = deviation / sqrt(core^2 + what the pixel's own noise adds to it).
-4. Threshold: the Gaussian tail that lets `expected` normal pixels of the frame pass.
+3. z = deviation / sqrt(core^2 + what the pixel's own noise adds to it); its distribution over normal pixels: `_null`.
 """
 
 from __future__ import annotations
@@ -12,11 +11,17 @@ from collections.abc import Iterator
 
 import cv2
 import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
 from scipy.stats import chi2, norm
 
 from ..records import DEFECT_FLAGS
 
 BLOCK_PX = 32
+SAMPLE_PIXELS = 1_000_000  # enough for a median
+LINE_PX = 32  # a run of a row or column in which ...
+LINE_SHARE = 0.5  # ... this share of the pixels is defective is a defect of the line
+LINE_SIGMA = 5.0
+LINES_AROUND = 33
 
 
 def planes(shape: tuple[int, int], bayer_pattern: str | None) -> Iterator[tuple[slice, slice]]:
@@ -29,6 +34,11 @@ def planes(shape: tuple[int, int], bayer_pattern: str | None) -> Iterator[tuple[
             yield np.s_[row::2, column::2]
 
 
+def typical(image: np.ndarray) -> float:
+    """Median of an image; of an even sample where it is large."""
+    return float(np.nanmedian(image.reshape(-1)[:: max(1, image.size // SAMPLE_PIXELS)]))
+
+
 def block_statistic(image: np.ndarray, block_px: int, statistic: callable) -> np.ndarray:
     """A statistic (taking `axis`) of square blocks (rows, columns); the last block of a side takes what is left over."""
     h, w = image.shape
@@ -39,24 +49,25 @@ def block_statistic(image: np.ndarray, block_px: int, statistic: callable) -> np
 
 def _spread(blocks: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Block values interpolated to the pixels, bilinear between block centres, constant beyond."""
-    return cv2.resize(blocks, shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return cv2.resize(blocks.astype(np.float32), shape[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def background(image: np.ndarray, bayer_pattern: str | None) -> np.ndarray:
-    """(H, W) smooth local level plus row and column medians."""
-    out = np.empty(image.shape)
+    """(H, W) float32: smooth local level plus row and column medians."""
+    out = np.empty(image.shape, np.float32)
     for plane in planes(image.shape, bayer_pattern):
-        part = image[plane]
+        part = np.ascontiguousarray(image[plane], np.float32)
         level = _spread(block_statistic(part, BLOCK_PX, np.median), part.shape)
-        level = level + np.median(part - level, axis=1, keepdims=True)
-        out[plane] = level + np.median(part - level, axis=0, keepdims=True)
+        level += np.median(part - level, axis=1, keepdims=True)
+        level += np.median(np.ascontiguousarray((part - level).T), axis=1)  # along memory: five times faster
+        out[plane] = level
     return out
 
 
 def core_sigma(deviation: np.ndarray, bayer_pattern: str | None) -> np.ndarray:
-    """(H, W) local scale of the normal pixels, from the median absolute deviation of blocks, never below that of the plane's
-    typical block by more than half (a block of few pixels may be quiet by chance)."""
-    out = np.empty(deviation.shape)
+    """(H, W) float32: local scale of the normal pixels, from the median absolute deviation of blocks, never below that of the
+    plane's typical block by more than half (a block of few pixels may be quiet by chance)."""
+    out = np.empty(deviation.shape, np.float32)
     for plane in planes(deviation.shape, bayer_pattern):
         part = np.abs(deviation[plane])
         blocks = 1.4826 * block_statistic(part, BLOCK_PX, np.median)
@@ -64,36 +75,57 @@ def core_sigma(deviation: np.ndarray, bayer_pattern: str | None) -> np.ndarray:
     return out
 
 
-def significance(deviation: np.ndarray, variance: np.ndarray, bayer_pattern: str | None, floor: float) -> np.ndarray:
-    """z (H, W) of a deviation from the background.
+def scale(deviation: np.ndarray, variance: np.ndarray, bayer_pattern: str | None, floor: float) -> np.ndarray:
+    """(H, W) standard deviation by which a deviation from the background is judged.
 
     Args:
         variance: of the value of each pixel. Its typical size is in the core sigma already, only an excess over it is added.
         floor: least variance of a value, from quantisation (coarse data may leave a median deviation of zero).
     """
-    excess = np.maximum(variance - np.median(variance), 0)
-    return deviation / np.sqrt(core_sigma(deviation, bayer_pattern) ** 2 + excess + floor)
-
-
-def threshold(pixels: int, expected: float) -> float:
-    """z that `expected` of `pixels` Gaussian values exceed on one side."""
-    return float(norm.isf(min(expected / pixels, 0.5)))
+    excess = np.maximum(variance - np.float32(typical(variance)), 0)
+    excess += core_sigma(deviation, bayer_pattern) ** 2
+    excess += np.float32(floor)
+    return np.sqrt(excess)
 
 
 def noisy(variance: np.ndarray, freedom: int, expected: float, factor: float) -> np.ndarray:
     """(H, W) bool: temporal variance above factor^2 the median, and beyond the chi-squared tail that `expected` pixels pass."""
-    typical = float(np.nanmedian(variance)) / (chi2.median(freedom) / freedom)
     limit = max(chi2.isf(expected / variance.size, freedom) / freedom, factor**2)
-    return variance > limit * max(typical, 1 / 12)  # quantisation alone makes 1/12 DN^2
+    return variance > limit * typical_noise(variance, freedom)
 
 
-def never_changing(variance: np.ndarray, frames: int) -> np.ndarray:
-    """(H, W) bool: the same value in every frame, where by chance less than 0.1 pixels of typical noise would show that."""
-    sigma = np.sqrt(max(float(np.nanmedian(variance)), 1e-12))
-    same = 2 * norm.cdf(0.5 / sigma) - 1  # share of frames in the fullest DN step
-    if same ** (frames - 1) * variance.size > 0.1:
-        return np.zeros(variance.shape, bool)
-    return variance == 0
+def typical_noise(variance: np.ndarray, freedom: int) -> float:
+    """Temporal variance of a typical pixel, at least what quantisation makes (1/12 DN^2); the median of chi-squared undone."""
+    return max(typical(variance) / (chi2.median(freedom) / freedom), 1 / 12)
+
+
+def never_changing(constant: np.ndarray, variance_dn2: float, frames: int) -> np.ndarray:
+    """(H, W) bool: the same value in all frames, where by chance less than 0.1 pixels of typical noise would show that."""
+    same = 2 * norm.cdf(0.5 / np.sqrt(max(variance_dn2, 1e-12))) - 1  # share of frames in the fullest DN step
+    return constant if same ** (frames - 1) * constant.size <= 0.1 else np.zeros_like(constant)
+
+
+def defective_lines(defective: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (H, W) bool of defective rows, and of defective columns: runs of LINE_PX pixels of which LINE_SHARE or more are
+    defective themselves. A lone line only: where its neighbours are as bad, the fault is an area and no line."""
+    out = []
+    for axis in (1, 0):
+        length = min(LINE_PX, defective.shape[axis])
+        dense = uniform_filter1d(defective.astype(np.float32), length, axis=axis, mode="constant") >= LINE_SHARE - 1e-3
+        area = uniform_filter1d(dense.astype(np.float32), 9, axis=1 - axis, mode="nearest") > 0.5
+        out.append(maximum_filter1d(dense & ~area, length, axis=axis, mode="constant", origin=-1 if length % 2 == 0 else 0))
+    return out[0], out[1]
+
+
+def lines_above(image: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (H,) and columns (W,) bool whose median lies above that of the lines around by `limit` and LINE_SIGMA of their
+    scatter."""
+    found = []
+    for axis in (1, 0):
+        level = np.median(image if axis == 1 else np.ascontiguousarray(image.T), axis=1)
+        above = level - median_filter(level, LINES_AROUND, mode="nearest")
+        found.append(above > max(limit, LINE_SIGMA * 1.4826 * float(np.median(np.abs(above)))))
+    return found[0], found[1]
 
 
 def flags(shape: tuple[int, int], **masks: np.ndarray) -> np.ndarray:

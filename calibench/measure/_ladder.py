@@ -1,4 +1,4 @@
-"""The dark ladder: stacks by exposure, and the straight line through them, pixel by pixel.
+"""The dark ladder: levels by exposure, and the straight line through them, pixel by pixel.
 
 Least squares over exposures with one weight an exposure (frames / typical variance), so that offset and rate of all
 pixels are weighted sums of the mean images; their errors follow from each pixel's own temporal variance.
@@ -6,13 +6,14 @@ pixels are weighted sums of the mean images; their errors follow from each pixel
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import BadInput
-from ._defects import core_sigma
-from ._stack import Accumulator, Series
+from ._dark_levels import DarkLevel
+from ._defects import core_sigma, typical
 
 MAX_EXPOSURE_S = 86400.0
 MAX_RATE_E_PER_S = 1e5
@@ -22,24 +23,32 @@ QUANTISATION_DN2 = 1 / 12  # variance of rounding to whole DN (EMVA 1288)
 
 @dataclass(frozen=True, kw_only=True)
 class Ladder:
-    """Dark stacks in ascending exposure and the line through them.
+    """Dark levels of one temperature in ascending exposure and the line through them. Images are (H, W) float32.
 
-    exposure_s: (K,), or None where no frame says it (then K is 1). offset_dn, offset_variance_dn2, and rate_dn_per_s,
-    rate_variance (H, W); the rate is None where there are fewer than two exposures, and the offset then holds the dark signal.
+    exposure_s: (K,), or None where no frame says it (then K is 1). variance_dn2: temporal variance of one frame at each level.
+    offset_dn, offset_variance_dn2, and rate_dn_per_s, rate_variance; the rate is None where there are fewer than two
+    exposures, and the offset then holds the dark signal. to_rate: (K,) weights of the mean images that make the rate.
     level_rate, level_offset: (value, uncertainty) of the line through the mean levels.
     noise_known: some exposure has two frames or more; else the noise is taken from the scatter over the image.
     """
 
     exposure_s: tuple[float, ...] | None
-    series: tuple[Series, ...]
+    levels: tuple[DarkLevel, ...]
     variance_dn2: tuple[np.ndarray, ...]
     offset_dn: np.ndarray
     offset_variance_dn2: np.ndarray
     rate_dn_per_s: np.ndarray | None
     rate_variance: np.ndarray | None
+    to_rate: np.ndarray | None
     level_offset: tuple[float, float]
     level_rate: tuple[float, float] | None
     noise_known: bool
+
+    @property
+    def temperature_c(self) -> float | None:
+        """Mean temperature of the levels that state one."""
+        stated = [level.temperature_c for level in self.levels if level.temperature_c is not None]
+        return float(np.mean(stated)) if stated else None
 
     def at(self, exposure_s: float | None) -> tuple[np.ndarray, np.ndarray, str]:
         """Dark image (H, W), its variance, and how it was had: the stack of that exposure, or the line.
@@ -49,8 +58,8 @@ class Ladder:
         """
         for i, t in enumerate(self.exposure_s or ()):
             if exposure_s is not None and abs(t - exposure_s) <= 1e-6 * t:
-                series = self.series[i]
-                return series.stack.mean_dn, self.variance_dn2[i] / series.stack.count, f"darks of {t:g} s"
+                level = self.levels[i]
+                return level.mean_dn, self.variance_dn2[i] / level.count, f"darks of {t:g} s"
         if self.exposure_s is None or exposure_s is None:
             return self.offset_dn, self.offset_variance_dn2, "darks taken as matching: exposure unknown"
         if self.rate_dn_per_s is None:
@@ -59,9 +68,15 @@ class Ladder:
         return (self.offset_dn + exposure_s * self.rate_dn_per_s, self.offset_variance_dn2 + exposure_s**2 * self.rate_variance,
                 f"dark ladder interpolated to {exposure_s:g} s")
 
+    def departures(self) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
+        """For each exposure: (exposure in s, mean image minus line (H, W), variance of the mean image). Needs a rate."""
+        for t, level, variance in zip(self.exposure_s, self.levels, self.variance_dn2, strict=True):
+            line = self.offset_dn + np.float32(t) * self.rate_dn_per_s
+            yield t, level.mean_dn - line, variance / np.float32(level.count)
 
-def fit(stacks: dict[float | None, Accumulator], white_level_dn: float, gain_dn_per_e: float) -> Ladder:
-    """The ladder from accumulated darks, keyed by exposure in s (None: unknown, then it is the only key).
+
+def fit(levels: Sequence[DarkLevel], white_level_dn: float, gain_dn_per_e: float) -> Ladder:
+    """The ladder of the levels of one temperature, in ascending exposure; where the exposure is unknown there is one level.
 
     Args:
         gain_dn_per_e: NaN where unknown; used only to tell an absurd rate.
@@ -69,39 +84,38 @@ def fit(stacks: dict[float | None, Accumulator], white_level_dn: float, gain_dn_
     Raises:
         BadInput: exposures or the rate are absurd, as they are when the time unit is wrong.
     """
-    exposures = tuple(sorted(stacks)) if None not in stacks else None
-    series = tuple(stacks[t].series() for t in exposures or (None,))
-    known = [s for s in series if s.freedom]
-    variance = tuple(_variance(s, known) for s in series)
+    exposures = None if levels[0].exposure_s is None else tuple(level.exposure_s for level in levels)
+    known = [level for level in levels if level.freedom]
+    variance = tuple(_variance(level, known) for level in levels)
     if exposures and exposures[-1] > MAX_EXPOSURE_S:
         raise BadInput(f"an exposure of {exposures[-1]:g} s is longer than a day", mend="give exposures in seconds")
-    common = {"series": series, "variance_dn2": variance, "exposure_s": exposures, "noise_known": bool(known)}
+    common = {"levels": tuple(levels), "variance_dn2": variance, "exposure_s": exposures, "noise_known": bool(known)}
     if exposures is None or len(exposures) < 2:
-        one = series[0]
-        return Ladder(**common, offset_dn=one.stack.mean_dn, offset_variance_dn2=variance[0] / one.stack.count,
-                      rate_dn_per_s=None, rate_variance=None, level_rate=None, level_offset=(
+        one = levels[0]
+        return Ladder(**common, offset_dn=one.mean_dn, offset_variance_dn2=variance[0] / one.count,
+                      rate_dn_per_s=None, rate_variance=None, to_rate=None, level_rate=None, level_offset=(
                           float(one.levels_dn.mean()), _level_error(one, variance[0])))
     t = np.array(exposures)
-    per_mean = [v / s.stack.count for v, s in zip(variance, series, strict=True)]
-    to_offset, to_rate = _line(t, np.array([max(float(np.median(v)), 1e-12) for v in per_mean]))
-    level = np.array([s.levels_dn.mean() for s in series])
-    error = np.array([_level_error(s, v) for s, v in zip(series, variance, strict=True)])
+    counts = np.array([level.count for level in levels])
+    to_offset, to_rate = _line(t, np.array([max(typical(v), 1e-12) for v in variance]) / counts)
+    level = np.array([one.levels_dn.mean() for one in levels])
+    error = np.array([_level_error(one, v) for one, v in zip(levels, variance, strict=True)])
     level_offset, level_rate = _level_line(t, level, error)
     _check_rate(level_rate[0], white_level_dn, gain_dn_per_e)
-    means = [s.stack.mean_dn for s in series]
-    return Ladder(**common, level_offset=level_offset, level_rate=level_rate,
-                  offset_dn=_combine(to_offset, means), offset_variance_dn2=_combine(to_offset**2, per_mean),
-                  rate_dn_per_s=_combine(to_rate, means), rate_variance=_combine(to_rate**2, per_mean))
+    means = [one.mean_dn for one in levels]
+    return Ladder(**common, level_offset=level_offset, level_rate=level_rate, to_rate=to_rate,
+                  offset_dn=_combine(to_offset, means), offset_variance_dn2=_combine(to_offset**2 / counts, variance),
+                  rate_dn_per_s=_combine(to_rate, means), rate_variance=_combine(to_rate**2 / counts, variance))
 
 
-def _variance(series: Series, known: list[Series]) -> np.ndarray:
-    """Temporal variance (H, W) of a single frame: own, or of the stacks that have one, or an upper limit from the image."""
-    if series.freedom:
-        return series.steady_variance_dn2
+def _variance(level: DarkLevel, known: list[DarkLevel]) -> np.ndarray:
+    """Temporal variance (H, W) of a single frame: own, or of the levels that have one, or an upper limit from the image."""
+    if level.freedom:
+        return level.variance_dn2
     if known:
-        return known[0].steady_variance_dn2
-    mean = series.stack.mean_dn
-    return np.full(mean.shape, float(np.median(core_sigma(mean - np.median(mean), None))) ** 2)
+        return known[0].variance_dn2
+    mean = level.mean_dn
+    return np.full(mean.shape, float(np.median(core_sigma(mean - np.median(mean), None))) ** 2, np.float32)
 
 
 def _line(t: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -112,15 +126,18 @@ def _line(t: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return to_offset, to_slope / t.max()
 
 
-def _combine(weights: np.ndarray, images: list[np.ndarray]) -> np.ndarray:
-    return sum(w * image for w, image in zip(weights, images, strict=True))
+def _combine(weights: np.ndarray, images: Sequence[np.ndarray]) -> np.ndarray:
+    total = np.float32(weights[0]) * images[0]
+    for weight, image in zip(weights[1:], images[1:], strict=True):
+        total += np.float32(weight) * image
+    return total
 
 
-def _level_error(series: Series, variance: np.ndarray) -> float:
+def _level_error(level: DarkLevel, variance: np.ndarray) -> float:
     """1-sigma of the mean level: the scatter of the frames' levels, at least what the pixels' noise makes of it."""
-    n = series.stack.count
+    n = level.count
     pixels = float(np.sqrt(np.mean(variance) / (n * variance.size)))
-    frames = float(np.std(series.levels_dn, ddof=1) / np.sqrt(n)) if n > 1 else 0.0
+    frames = float(np.std(level.levels_dn, ddof=1) / np.sqrt(n)) if n > 1 else 0.0
     return max(pixels, frames, 1e-9)
 
 

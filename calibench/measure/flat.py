@@ -16,12 +16,13 @@ import numpy as np
 from ..errors import BadInput
 from ..records import CalibrationMap, Frame, Measurement, Quantity
 from . import _nonuniformity as spatial
+from ._dark_levels import DarkLevel, DarkLevels
 from ._darkness import check_dark
-from ._defects import flags, planes
+from ._defects import flags, planes, typical
 from ._illumination import illumination
 from ._ladder import Ladder, fit
 from ._ledger import Ledger
-from ._stack import Accumulator, Series
+from ._stack import Accumulator
 from ._transfer import MAX_FILL, TransferPoint, gain
 
 SAME_LEVEL = 0.05  # frames of one exposure whose means differ by less belong to one light level
@@ -43,20 +44,27 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """Flats of one exposure and one light: their series, the dark below them (image, variance of it, where from) and
-    the share of saturated pixels."""
+    """Flats of one exposure and one light: mean and temporal variance (None: a single flat), (H, W) float32; the mean of each
+    frame; the dark below them (image, variance of it, where from); the share of saturated pixels."""
 
     exposure_s: float | None
-    series: Series
+    mean_dn: np.ndarray
+    variance_dn2: np.ndarray | None
+    freedom: int
+    levels_dn: np.ndarray
     dark_dn: np.ndarray
     dark_variance_dn2: np.ndarray
     dark_origin: str
     saturated: float
 
     @property
+    def count(self) -> int:
+        return len(self.levels_dn)
+
+    @property
     def signal_dn(self) -> np.ndarray:
         """(H, W) mean flat minus dark."""
-        return self.series.stack.mean_dn - self.dark_dn
+        return self.mean_dn - self.dark_dn
 
 
 NEED_A_LADDER = tuple(Quantity(name=name, value=None, unit=unit, source="EMVA 1288 release 4", reason=(
@@ -80,20 +88,22 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     ladder = fit(darks, first.white_level_dn, np.nan) if darks else None
     if not flats:
         raise BadInput("no flat frames among the frames", mend="give frames of an evenly lit field; darks alone are for `dark`")
-    levels = [_level(exposure_s, stack, ladder, calmap, first) for exposure_s, stack in flats]
+    names = [files[id(stack)] for _, stack in flats]
+    flats.reverse()
+    levels = [_level(*flats.pop(), ladder, calmap, first) for _ in names]  # the sums of each stack go as its level comes
     usable = [v for v in levels if _verdict(v, first, settings) is None]
     if not usable:
         raise BadInput("; ".join(dict.fromkeys(_verdict(v, first, settings) for v in levels)),
                        mend="were the folders of darks and flats swapped? else take flats of the exposure named above")
-    for level, (_, stack) in zip(levels, flats, strict=True):
+    for level, of_level in zip(levels, names, strict=True):
         if reason := _verdict(level, first, settings):
-            ledger.rejected += [(file, reason) for file in files[id(stack)]]
+            ledger.rejected += [(file, reason) for file in of_level]
     best = _best(usable, first)
 
     smooth = illumination(best.signal_dn, first.bayer_pattern)
     response, uncertainty = _response(best, smooth, first.bayer_pattern)
     dead, cold = response < settings.dead, (response >= settings.dead) & (response < settings.cold)
-    points = [_point(v, ladder, calmap) for v in levels if v.series.freedom and _fill(v, first) < MAX_FILL]
+    points = [_point(v, ladder, calmap) for v in levels if v.freedom and _fill(v, first) < MAX_FILL]
     points = [p for p in points if p is not None]
     gain_quantities = _gain(points)
     layers = {"gain_dn_per_e": gain_quantities[0].value} if gain_quantities[0].value else {}
@@ -112,26 +122,27 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
                   "transfer_variance_dn2": np.array([p.variance_dn2 for p in points]),
                   "transfer_variance_uncertainty_dn2": np.array([p.variance_uncertainty_dn2 for p in points]),
                   "level_exposure_s": np.array([np.nan if v.exposure_s is None else v.exposure_s for v in levels]),
-                  "level_mean_dn": np.array([v.series.stack.mean_dn.mean() for v in levels]),
+                  "level_mean_dn": np.array([v.levels_dn.mean() for v in levels]),
                   "level_saturated": np.array([v.saturated for v in levels]),
                   "response_histogram_count": counts, "response_histogram_edge": edges},
         provenance=ledger.provenance(), warnings=_warnings(ledger, levels, best, first, settings),
-        frames_used=sum(v.series.stack.count for v in usable) + sum(s.stack.count for s in (ladder.series if ladder else ())),
+        frames_used=sum(v.count for v in usable) + sum(v.count for v in (ladder.levels if ladder else ())),
         frames_rejected=tuple(ledger.rejected))
 
 
-def _collect(frames: Iterable[Frame], ledger: Ledger) -> tuple[list[tuple], dict, dict[int, list[str]]]:
-    """Flat stacks as (exposure, stack) by exposure and light level, dark stacks by exposure, files by id of flat stack."""
+def _collect(frames: Iterable[Frame], ledger: Ledger) -> tuple[list[tuple], list[DarkLevel], dict[int, list[str]]]:
+    """Flat stacks as (exposure, stack) by exposure and light level, dark levels (of the temperature with most of them), files
+    by id of flat stack."""
     files: dict[int, list[str]] = {}
     flats: list[tuple[float | None, Accumulator]] = []
-    darks: dict[float | None, Accumulator] = {}
+    darks = DarkLevels()
     for frame in frames:
         if frame.kind == "dark":
             check_dark(frame)
         if not ledger.take(frame):
             continue
         if frame.kind == "dark":
-            darks.setdefault(frame.exposure_s, Accumulator()).add(frame)
+            darks.add(frame)
             continue
         mean = float(frame.data.mean())
         stack = next((s for t, s in flats if t == frame.exposure_s and abs(s.level_dn - mean) <= SAME_LEVEL * mean), None)
@@ -141,9 +152,8 @@ def _collect(frames: Iterable[Frame], ledger: Ledger) -> tuple[list[tuple], dict
         stack.add(frame)
         files.setdefault(id(stack), []).append(frame.file or frame.name)
     ledger.first  # noqa: B018  raises where there was no frame at all
-    if len(darks) > 1:
-        darks.pop(None, None)
-    return flats, darks, files
+    darks.without_unknown_exposures()
+    return flats, max(darks.groups(), key=len, default=[]), files
 
 
 def _level(exposure_s: float | None, stack: Accumulator, ladder: Ladder | None, calmap: CalibrationMap | None,
@@ -154,35 +164,36 @@ def _level(exposure_s: float | None, stack: Accumulator, ladder: Ladder | None, 
     elif calmap is not None and "offset_dn" in calmap.measured:
         if calmap.image_size_px != first.image_size_px:
             raise BadInput(f"the map is of {calmap.image_size_px} px, the flats of {first.image_size_px} px")
-        dark, variance = calmap.offset_dn.astype(float), calmap.offset_uncertainty_dn.astype(float) ** 2
+        dark, variance = calmap.offset_dn, calmap.offset_uncertainty_dn**2
         origin = "offset of the map"
         if exposure_s is not None and "dark_rate_dn_per_s" in calmap.measured:
             dark = dark + exposure_s * calmap.dark_rate_dn_per_s
-            variance = variance + (exposure_s * calmap.dark_rate_uncertainty_dn_per_s.astype(float)) ** 2
+            variance = variance + (exposure_s * calmap.dark_rate_uncertainty_dn_per_s) ** 2
             origin = f"dark layers of the map at {exposure_s:g} s"
     else:
         raise BadInput("flats need darks: none are among the frames, and no map with dark layers was given",
                        mend="add dark frames of the same exposure, or give --map with a measured dark")
-    saturated = float(np.mean(series.stack.mean_dn >= first.white_level_dn * (1 - 1e-3)))
-    return Level(exposure_s=exposure_s, series=series, dark_dn=dark, dark_variance_dn2=variance, dark_origin=origin,
-                 saturated=saturated)
+    mean = series.stack.mean_dn.astype(np.float32)
+    return Level(exposure_s=exposure_s, mean_dn=mean, variance_dn2=series.steady_variance_dn2 if series.freedom else None,
+                 freedom=series.freedom, levels_dn=series.levels_dn, dark_dn=dark, dark_variance_dn2=variance,
+                 dark_origin=origin, saturated=float(np.mean(mean >= first.white_level_dn * (1 - 1e-3))))
 
 
 def _fill(level: Level, first: Frame) -> float:
-    return float(np.median(level.series.stack.mean_dn)) / first.white_level_dn
+    return typical(level.mean_dn) / first.white_level_dn
 
 
 def _best(levels: list[Level], first: Frame) -> Level:
     """The level to read the response from: most frames around half of the range, else nearest to half."""
     def preference(level: Level) -> tuple[int, float]:
         off = abs(_fill(level, first) - RIGHT_FILL)
-        return (-level.series.stack.count if off < NEAR_HALF else 0, off)
+        return (-level.count if off < NEAR_HALF else 0, off)
     return min(levels, key=preference)
 
 
 def _verdict(level: Level, first: Frame, settings: Settings) -> str | None:
     """Why this level cannot be used, with the exposure that would be right; None: it can."""
-    signal, white = float(np.median(level.signal_dn)), first.white_level_dn
+    signal, white = typical(level.signal_dn), first.white_level_dn
     if level.saturated > settings.saturated:
         what = f"{100 * level.saturated:.0f} % of the pixels are saturated"
         factor = RIGHT_FILL * (white - float(np.median(level.dark_dn))) / max(signal, 1.0)
@@ -200,24 +211,23 @@ def _verdict(level: Level, first: Frame, settings: Settings) -> str | None:
 def _response(level: Level, smooth: np.ndarray, bayer_pattern: str | None) -> tuple[np.ndarray, np.ndarray]:
     """Response (H, W), mean 1 over each Bayer plane, and its 1-sigma uncertainty."""
     response, error = level.signal_dn / smooth, np.zeros(smooth.shape)
-    series = level.series
-    temporal = series.steady_variance_dn2 if series.freedom else np.maximum(level.signal_dn, 0)
+    temporal = level.variance_dn2 if level.freedom else np.maximum(level.signal_dn, 0)
     for plane in planes(smooth.shape, bayer_pattern):
         scale = float(np.mean(response[plane]))
         response[plane] /= scale
         # one pixel's variance from few frames is mostly chance: the plane's relation of noise to light is used
         per_light = float(np.median(temporal[plane]) / np.median(level.signal_dn[plane]))
-        variance = per_light * np.maximum(level.signal_dn[plane], 0) / series.stack.count + level.dark_variance_dn2[plane]
+        variance = per_light * np.maximum(level.signal_dn[plane], 0) / level.count + level.dark_variance_dn2[plane]
         error[plane] = np.sqrt(variance) / (smooth[plane] * scale)
     return response, error
 
 
 def _point(level: Level, ladder: Ladder | None, calmap: CalibrationMap | None) -> TransferPoint | None:
     """Photon transfer point; None where no dark variance is known."""
-    variance = float(np.mean(level.series.steady_variance_dn2))
-    relative = np.sqrt(2 / (level.series.freedom * level.signal_dn.size))
+    variance = float(np.mean(level.variance_dn2))
+    relative = np.sqrt(2 / (level.freedom * level.mean_dn.size))
     if ladder is not None and ladder.noise_known:
-        nearest = min(range(len(ladder.series)), key=lambda i: abs((ladder.exposure_s or (0,))[i] - (level.exposure_s or 0)))
+        nearest = min(range(len(ladder.levels)), key=lambda i: abs((ladder.exposure_s or (0,))[i] - (level.exposure_s or 0)))
         dark = float(np.mean(ladder.variance_dn2[nearest]))
     elif ladder is None and "read_noise_dn" in calmap.measured:
         dark = float(np.mean(calmap.read_noise_dn.astype(float) ** 2))
@@ -246,19 +256,19 @@ def _gain(points: list[TransferPoint]) -> tuple[Quantity, Quantity]:
 
 def _prnu(level: Level, bayer_pattern: str | None) -> list[Quantity]:
     """PRNU raw, release 4 and core, in % of the signal; the mean variance over the Bayer planes."""
-    series, out = level.series, []
+    out = []
     for kind, function, text in (("raw", spatial.spatial_raw, "no high-pass, all pixels: lamp fall-off and dust included"),
                                  ("1288", spatial.spatial_1288, "EMVA 1288 R4 Linear 8, high-passed, all pixels"),
                                  ("core", spatial.spatial_core, "high-passed, interquartile range")):
         name = f"prnu_{kind}_percent"
-        if not series.freedom:
+        if not level.freedom:
             out.append(Quantity(name=name, value=None, unit="%", symbol="PRNU", source=text,
                                 reason="one flat only: temporal noise unknown"))
             continue
         parts = []
         for plane in planes(level.dark_dn.shape, bayer_pattern):
-            temporal = float(np.mean(series.steady_variance_dn2[plane])) / series.stack.count
-            bright = function(series.stack.mean_dn[plane], temporal)
+            temporal = float(np.mean(level.variance_dn2[plane])) / level.count
+            bright = function(level.mean_dn[plane], temporal)
             dark = function(level.dark_dn[plane], float(np.mean(level.dark_variance_dn2[plane])))
             parts.append(spatial.difference(bright, dark, float(np.mean(level.signal_dn[plane]))))
         found = spatial.pooled(parts)
@@ -278,7 +288,7 @@ def _warnings(ledger: Ledger, levels: list[Level], best: Level, first: Frame, se
         out.append(f"dark below the flats: {best.dark_origin}")
     if best.exposure_s is None:
         out.append("exposure unknown: the dark below the flats may not match them")
-    levels_dn = best.series.levels_dn
+    levels_dn = best.levels_dn
     if np.ptp(levels_dn) > 0.01 * levels_dn.mean():
         out.append(f"the light flickers or drifts by {100 * np.ptp(levels_dn) / levels_dn.mean():.1f} % over the flats")
     return tuple(out)

@@ -1,0 +1,207 @@
+"""Defects of the dark: which pixels are hot, warm, stuck, noisy, telegraph or nonlinear, and which rows and columns.
+
+1. Deviation of the dark rate from the local level, in units of the local scale; threshold from the null (`_null`).
+2. Candidates of telegraph noise and of hits by particles are looked at again, frame by frame (`_telegraph`).
+3. [T]'s rule (above mean + 5 sigma of the averaged frame) stands beside it, as `hot_thesis`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import norm
+
+from . import _defects as defect
+from . import _telegraph as telegraph
+from ._dark_levels import DarkLevel
+from ._ladder import QUANTISATION_DN2, Ladder
+from ._null import Null, fit_null
+
+THESIS_SIGMA = 5.0
+FOUND_SHARE = 0.99  # the detection limit is the excess that is found with this probability
+NULL_SAMPLE = 2_000_000  # pixels from which a null is learned
+EXAMPLES = 6
+
+Fetch = Callable[[DarkLevel, np.ndarray], "telegraph.TimeSeries | None"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """limit: excess from which a significant pixel is hot, in the unit of the map that is judged; the others as in
+    `dark.Settings`. dn_per_e: NaN where unknown. white_dn: the converter's end."""
+
+    limit: float
+    hot_level: float
+    false_alarms: float
+    noise_factor: float
+    nonlinear: float
+    dn_per_e: float
+    white_dn: float
+    bayer_pattern: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """masks: (H, W) bool by flag. threshold: z from which a pixel is significant. detection_limit: (value, spread over the
+    image) of the smallest excess found with FOUND_SHARE."""
+
+    masks: dict[str, np.ndarray]
+    null: Null
+    threshold: float
+    detection_limit: tuple[float, float]
+    evidence: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+def find_defects(ladder: Ladder, quiet: DarkLevel | None, rules: Rules, fetch: Fetch) -> Found:
+    """Masks by class with their evidence.
+
+    Args:
+        quiet: the shortest exposure with two frames or more. fetch: time series of pixels (P, 2) at a level, by a second pass
+            over the frames; None where the frames cannot be read again.
+    """
+    known = ladder.rate_dn_per_s is not None
+    value, variance = (ladder.rate_dn_per_s, ladder.rate_variance) if known else (ladder.offset_dn, ladder.offset_variance_dn2)
+    frames = sum(level.count for level in ladder.levels)
+    floor = QUANTISATION_DN2 / frames / (max(ladder.exposure_s) ** 2 if known else 1.0)
+    deviation = value - defect.background(value, rules.bayer_pattern)
+    scale = defect.scale(deviation, variance, rules.bayer_pattern, floor)
+    z = deviation / scale
+    null = fit_null(_sample(z))
+    threshold = null.threshold(z.size, rules.false_alarms)
+    significant = z > threshold
+    hot = significant & (deviation > rules.limit)
+    noisy = np.zeros_like(hot) if quiet is None else defect.noisy(
+        quiet.variance_dn2, quiet.freedom, rules.false_alarms, rules.noise_factor)
+    stuck = _stuck(ladder, hot, rules)
+    unsteady, evidence = _unsteady(ladder, significant & ~stuck, rules, fetch)
+    noisy |= unsteady["hit"]
+    hot &= ~unsteady["hit"]
+    masks = {"hot": hot, "warm": significant & ~hot & ~unsteady["hit"], "stuck": stuck, "noisy": noisy,
+             "telegraph": unsteady["telegraph"] & ~stuck, "nonlinear": _nonlinear(ladder, rules) & ~stuck}
+    thesis = [above_mean_plus_sigma(level.mean_dn, ~stuck) for level in ladder.levels]
+    masks["hot_thesis"] = thesis[-1]
+    masks["row"], masks["column"] = _lines(masks, ladder, rules)
+    per_s = "_per_s" if known else ""
+    rows, columns = np.nonzero(hot)
+    counts, edges = _histogram(z)
+    evidence |= {
+        "hot_xy_px": np.stack([columns, rows], -1), f"hot_excess_dn{per_s}": deviation[hot], "hot_z": z[hot],
+        "hot_thesis_count": np.array([int(m.sum()) for m in thesis]),
+        "hot_above_limit_count": hot_by_level(ladder, rules),
+        "z_histogram_count": counts, "z_histogram_edge": edges,
+        "z_null": np.array([null.centre, null.scale, null.g, null.h, threshold])}
+    return Found(masks=masks, null=null, threshold=threshold, evidence=evidence,
+                 detection_limit=_detection_limit(scale, null, threshold, ladder, rules))
+
+
+def above_mean_plus_sigma(mean: np.ndarray, counted: np.ndarray, k_sigma: float = THESIS_SIGMA) -> np.ndarray:
+    """The thesis rule: above mean + k sigma of the averaged frame. Stuck pixels are not counted in, a few would blind it."""
+    level, sd = (float(f(mean[counted], dtype=np.float64)) for f in (np.mean, np.std))
+    return counted & (mean > level + k_sigma * sd)
+
+
+def _sample(z: np.ndarray) -> np.ndarray:
+    return z.reshape(-1)[:: max(1, z.size // NULL_SAMPLE)]
+
+
+def _detection_limit(scale: np.ndarray, null: Null, threshold: float, ladder: Ladder, rules: Rules) -> tuple[float, float]:
+    """Smallest excess found with FOUND_SHARE: it has to lift even a pixel at the null's low end over the threshold. Its own
+    shot noise lowers its significance (left out where the gain is unknown). With its 1-sigma spread over the image."""
+    low, typical, high = np.percentile(scale.reshape(-1)[:: max(1, scale.size // NULL_SAMPLE)], (15.87, 50, 84.13))
+    margin = float(threshold - null.quantile(norm.isf(FOUND_SHARE)))
+    shot = 0.0
+    if np.isfinite(rules.dn_per_e) and ladder.to_rate is not None:
+        per_frame = np.array(ladder.exposure_s) / [level.count for level in ladder.levels]
+        shot = rules.dn_per_e * float(ladder.to_rate**2 @ per_frame)
+    # excess = margin * sqrt(typical^2 + shot * excess)
+    limit = (margin**2 * shot + np.sqrt(margin**4 * shot**2 + 4 * margin**2 * typical**2)) / 2
+    return float(limit), float(limit * (high - low) / (2 * typical))
+
+
+def _stuck(ladder: Ladder, hot: np.ndarray, rules: Rules) -> np.ndarray:
+    """Pinned at the top in every frame, never changing where noise would, or a high offset that no dark rate explains."""
+    levels = ladder.levels
+    stuck = np.all([level.mean_dn >= rules.white_dn for level in levels], axis=0)
+    if ladder.noise_known:
+        same = np.all([level.constant & (level.mean_dn == levels[0].mean_dn) for level in levels], axis=0)
+        stuck |= defect.never_changing(same, defect.typical(ladder.variance_dn2[0]), sum(level.count for level in levels))
+    if ladder.rate_dn_per_s is not None:
+        high = ladder.offset_dn - defect.background(ladder.offset_dn, None) > rules.hot_level * rules.white_dn
+        stuck |= high & ~hot
+    return stuck
+
+
+def _unsteady(ladder: Ladder, significant: np.ndarray, rules: Rules, fetch: Fetch) -> tuple[dict, dict]:
+    """Telegraph pixels, and hits: significant pixels that most frames do not confirm. Telegraph signals are looked for where
+    there are most frames and at the longest exposure, hits at the longest, where they count most."""
+    masks = {"telegraph": np.zeros_like(significant), "hit": np.zeros_like(significant)}
+    evidence: dict[str, np.ndarray] = {}
+    levels = list(zip(ladder.levels, ladder.variance_dn2, strict=True))
+    watched = {id(level): (level, variance) for level, variance in (max(levels, key=lambda v: v[0].count), levels[-1])}
+    for level, variance in watched.values():
+        if level.freedom < 2:
+            continue
+        typical = defect.typical_noise(variance, level.freedom)
+        series = fetch(level, telegraph.candidates(variance, level.freedom, typical, significant))
+        if series is None or not len(series.xy_px):
+            continue
+        x, y = series.xy_px.T
+        local = defect.background(level.mean_dn, rules.bayer_pattern)[y, x]
+        longest = level is ladder.levels[-1]
+        unconfirmed = significant[y, x] & longest & ~telegraph.confirmed(series.values_dn, local, typical)
+        jumping, step, duty = telegraph.two_levels(series.values_dn)
+        masks["hit"][y[unconfirmed], x[unconfirmed]] = True
+        masks["telegraph"][y[jumping], x[jumping]] = True
+        if jumping.any() or "telegraph_xy_px" not in evidence:
+            best = np.flatnonzero(jumping)[np.argsort(-step[jumping])]
+            evidence |= {"telegraph_xy_px": series.xy_px[best], "telegraph_step_dn": step[best], "telegraph_duty": duty[best],
+                         "telegraph_series_dn": series.values_dn[:, best[:EXAMPLES]].T}
+    return masks, evidence
+
+
+def _nonlinear(ladder: Ladder, rules: Rules) -> np.ndarray:
+    """Pixels whose level departs from their own line at some exposure, significantly and by a share of their dark signal."""
+    found = np.zeros(ladder.offset_dn.shape, bool)
+    if ladder.rate_dn_per_s is None or len(ladder.levels) < 3:
+        return found
+    longest = max(ladder.exposure_s)
+    signal = np.abs(ladder.rate_dn_per_s) * np.float32(longest * rules.nonlinear)
+    for _, departure, variance in ladder.departures():
+        departure = departure - defect.typical(departure)  # what all pixels do together is the sensor's, not the pixel's
+        spread = 1.4826 * defect.typical(np.abs(departure))
+        excess = np.maximum(variance - np.float32(defect.typical(variance)), 0) + np.float32(spread**2 + QUANTISATION_DN2)
+        z = departure / np.sqrt(excess)
+        sample = _sample(z)
+        for side in (1, -1):
+            threshold = fit_null(side * sample).threshold(z.size, rules.false_alarms / (2 * len(ladder.levels)))
+            found |= (side * z > threshold) & (np.abs(departure) > signal)
+    return found
+
+
+def _lines(masks: dict[str, np.ndarray], ladder: Ladder, rules: Rules) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of defective rows and of defective columns: runs full of defects, and whole lines of too high a dark rate."""
+    rows, columns = defect.defective_lines(masks["hot"] | masks["stuck"] | masks["noisy"] | masks["telegraph"])
+    if ladder.rate_dn_per_s is not None:
+        high_rows, high_columns = defect.lines_above(ladder.rate_dn_per_s, rules.limit)
+        rows, columns = rows | high_rows[:, None], columns | high_columns
+    return rows, columns
+
+
+def hot_by_level(ladder: Ladder, rules: Rules) -> np.ndarray:
+    """Hot pixels that each exposure alone would show: above the limit and above its own noise threshold, by a Gaussian tail."""
+    if ladder.rate_dn_per_s is None:
+        return np.zeros(len(ladder.levels), int)
+    excess = ladder.rate_dn_per_s - defect.typical(ladder.rate_dn_per_s)
+    k = norm.isf(min(rules.false_alarms / excess.size, 0.5))
+    levels = zip(ladder.exposure_s, ladder.variance_dn2, ladder.levels, strict=True)
+    return np.array([np.count_nonzero(excess > max(rules.limit, k * np.sqrt(defect.typical(v) / level.count) / max(t, 1e-9)))
+                     for t, v, level in levels])
+
+
+def _histogram(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Counts of z in steps that show the normal pixels and the tail; the end bins hold what lies beyond."""
+    edges = np.concatenate([np.arange(-12, 30, 0.25), np.geomspace(30, 1e4, 40)])
+    counts, _ = np.histogram(np.clip(z, edges[0], edges[-1]), edges)
+    return counts, edges

@@ -1,0 +1,125 @@
+"""Darks sorted as they stream by: one stack for each exposure at each temperature, kept small once it is complete.
+
+Frames of one set temperature scatter and drift a little; a step of more than GROUP_C is another temperature. A sensor that
+warms slowly stays in its group: a warning tells of the drift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..records import Frame
+from ._stack import Accumulator
+
+GROUP_C = 1.5
+OPEN_BYTES, BYTES_A_PIXEL = 250_000_000, 20  # what open stacks may take together; what the sums of one take
+
+
+@dataclass(frozen=True, kw_only=True)
+class DarkLevel:
+    """All darks of one exposure (None: unknown) at one temperature.
+
+    group: number of its temperature. celsius: temperature of each frame that states one. mean_dn, variance_dn2: (H, W)
+    float32; the temporal variance of one frame with the common drift taken out, over `freedom` degrees of freedom (None where
+    that is 0). constant: (H, W) bool, the same value in every frame. levels_dn: (N,) mean of each frame.
+    """
+
+    exposure_s: float | None
+    group: int
+    celsius: tuple[float, ...]
+    mean_dn: np.ndarray
+    variance_dn2: np.ndarray | None
+    freedom: int
+    constant: np.ndarray
+    levels_dn: np.ndarray
+
+    @property
+    def count(self) -> int:
+        return len(self.levels_dn)
+
+    @property
+    def temperature_c(self) -> float | None:
+        return float(np.mean(self.celsius)) if self.celsius else None
+
+
+class DarkLevels:
+    """Takes darks one by one. Key of a level: (exposure, number of its temperature group)."""
+
+    def __init__(self) -> None:
+        self._open: dict[tuple, Accumulator] = {}  # the last used is last
+        self._closed: dict[tuple, DarkLevel] = {}
+        self._celsius: dict[tuple, list[float]] = {}
+        self._last_c: list[float] = []  # of each temperature group
+        self._group = 0
+
+    def key(self, frame: Frame) -> tuple[float | None, int]:
+        """Where a frame belongs. A frame without a temperature is taken to be as warm as the one before it."""
+        if frame.temperature_c is not None:
+            apart = [abs(c - frame.temperature_c) for c in self._last_c]
+            if not apart or min(apart) > GROUP_C:
+                self._last_c.append(frame.temperature_c)
+                apart.append(0.0)
+            self._group = int(np.argmin(apart))
+            self._last_c[self._group] = frame.temperature_c
+        return frame.exposure_s, self._group
+
+    def add(self, frame: Frame) -> tuple[float | None, int]:
+        """Add a frame to its level; gives the level's key.
+
+        Raises:
+            BadInput: as `Accumulator.add`.
+        """
+        key = self.key(frame)
+        most = max(2, OPEN_BYTES // (BYTES_A_PIXEL * frame.data.size))
+        if key not in self._open and len(self._open) >= most:
+            self._close(next(iter(self._open)))
+        stack = self._open[key] = self._open.pop(key, None) or Accumulator()
+        stack.add(frame)
+        if frame.temperature_c is not None:
+            self._celsius.setdefault(key, []).append(frame.temperature_c)
+        return key
+
+    def without_unknown_exposures(self) -> bool:
+        """Drop frames of unknown exposure where others have one. True: some were dropped."""
+        keys = {*self._open, *self._closed}
+        unknown = {key for key in keys if key[0] is None}
+        if unknown == keys:
+            return False
+        for key in unknown:
+            self._open.pop(key, None)
+            self._closed.pop(key, None)
+        return bool(unknown)
+
+    def groups(self) -> list[list[DarkLevel]]:
+        """The levels of each temperature in ascending exposure, in the order in which the temperatures came. Call once."""
+        for key in list(self._open):
+            self._close(key)
+        keys = sorted(self._closed, key=lambda key: (key[1], key[0] or 0.0))
+        return [[self._closed[key] for key in keys if key[1] == group] for group in dict.fromkeys(key[1] for key in keys)]
+
+    def _close(self, key: tuple) -> None:
+        series = self._open.pop(key).series()
+        level = DarkLevel(
+            exposure_s=key[0], group=key[1], celsius=tuple(self._celsius.get(key, ())),
+            mean_dn=series.stack.mean_dn.astype(np.float32), freedom=series.freedom,
+            variance_dn2=series.steady_variance_dn2.astype(np.float32) if series.freedom else None,
+            constant=(series.stack.variance_dn2 == 0) if series.freedom else np.ones(series.stack.mean_dn.shape, bool),
+            levels_dn=np.asarray(series.levels_dn))
+        self._closed[key] = _merged(self._closed[key], level) if key in self._closed else level
+
+
+def _merged(a: DarkLevel, b: DarkLevel) -> DarkLevel:
+    """Two stacks of one level as one (Chan, Golub and LeVeque 1983), each frame's own level taken out of the difference."""
+    n, m = a.count, b.count
+    step = b.mean_dn - a.mean_dn
+    own = step - np.float32(b.levels_dn.mean() - a.levels_dn.mean())
+    squares = np.float32(n * m / (n + m)) * own**2
+    for part in (a, b):
+        if part.variance_dn2 is not None:
+            squares += np.float32(part.freedom) * part.variance_dn2
+    freedom = a.freedom + b.freedom + 1
+    return replace(b, mean_dn=a.mean_dn + np.float32(m / (n + m)) * step, variance_dn2=squares / np.float32(freedom),
+                   freedom=freedom, constant=a.constant & b.constant & (step == 0),
+                   levels_dn=np.concatenate([a.levels_dn, b.levels_dn]))
