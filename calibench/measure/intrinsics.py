@@ -27,7 +27,7 @@ from ._bundle.start import TILT as TILT_ADVICE
 from ._ledger import Ledger
 from ._lens_figures import lens_quantities
 from .corners import _views as corner
-from .corners._target import Target
+from .corners._target import Target, Unsettled
 
 PROBED_VIEWS = 4
 WORTH_ANOTHER_REFINER = 0.8  # of the roughness: less is chance
@@ -42,7 +42,7 @@ class Settings:
     """board: inner corners (columns, rows). model None: chosen by held-out error among brown4, brown5, rational8.
 
     target: what stands before the camera, a `TARGET` of `measure/corners`. detector: one file of that folder; None: all that
-    can see the target, the fastest first. marker_mm, dictionary: of a ChArUco board (`corners._target.Target`). window: half
+    can see the target, until one sees all of it. marker_mm, dictionary: of a ChArUco board (`corners._target.Target`). window: half
     width of the refinement as a fraction of the local spacing, kept within what the target allows. outlier_sigma: corners
     farther off than this many robust sigma are dropped, at most the share `max_outliers` of them. worst_view: a view is
     dropped whose median residual exceeds the median view's by this factor.
@@ -126,14 +126,16 @@ def _find_corners(frames: Iterable[Frame], settings: Settings, ledger: Ledger) -
         if not ledger.take(frame):
             continue
         grey, fine = corner.shade(frame)
+        reason = f"no board of {settings.board[0]}x{settings.board[1]} {quick.POINT.split(',')[0]} is seen"
         try:
             points = corner.look(grey, fine, target, able, settings.window)
         except BadInput as error:
             raise BadInput(error.what, file=frame.file or None, mend=error.mend) from error
+        except Unsettled as error:
+            points, reason = None, str(error)
         if points is None:
-            columns, rows = settings.board
             missed += [grey] if len(missed) < PROBED_VIEWS else []
-            ledger.reject(frame, f"no board of {columns}x{rows} {quick.POINT.split(',')[0]} is seen")
+            ledger.reject(frame, reason)
             continue
         names.append(frame.file or frame.name)
         seen.append(points)

@@ -11,7 +11,7 @@ import pytest
 
 from calibench.errors import BadInput, UsageError
 from calibench.measure.corners import _views as views
-from calibench.measure.corners import checkerboard, checkerboard_sectors
+from calibench.measure.corners import checkerboard, checkerboard_parts, checkerboard_sectors
 from calibench.measure.corners._symmetry import refine, roughness_px
 from calibench.measure.corners._target import Target, grid
 from calibench.records import Frame
@@ -175,7 +175,7 @@ def test_the_board_s_size_is_asked_without_a_search():
 
 
 def test_detectors_are_named():
-    assert views.detectors("checkerboard", None) == [checkerboard, checkerboard_sectors]
+    assert views.detectors("checkerboard", None) == [checkerboard, checkerboard_parts, checkerboard_sectors]
     assert views.detectors("checkerboard", "checkerboard_sectors") == [checkerboard_sectors]
     with pytest.raises(UsageError, match="charuco, checkerboard, circles"):
         views.detectors("chess", None)

@@ -44,7 +44,7 @@ def refine(grey: np.ndarray, xy_px: np.ndarray, places: np.ndarray, window: floa
     seen = np.flatnonzero(np.isfinite(xy_px).all(axis=-1))
     start, uv = xy_px[seen].astype(float), places[seen]
     centre = start
-    axes, bend, _ = _local_map(start, uv)
+    axes, bend, _ = local_map(start, uv)
     spacing = np.linalg.norm(axes, axis=1).min(axis=-1)
     if not (np.abs(np.linalg.det(axes)) > spacing).all():  # the points lie on a line, or their order is confused
         return out, covariance
@@ -62,7 +62,7 @@ def refine(grey: np.ndarray, xy_px: np.ndarray, places: np.ndarray, window: floa
         if not (np.abs(step) > NEAR_PX).any():
             break
         if np.isfinite(step).all():  # a better map of the bend
-            window_at = _window(*_local_map(centre, uv)[:2], half)
+            window_at = _window(*local_map(centre, uv)[:2], half)
     kept = np.linalg.norm(centre - start, axis=1) < FARTHEST * spacing  # not where the step is NaN: nothing to see there
     if kept.any():
         out[seen[kept]] = centre[kept]
@@ -79,10 +79,10 @@ def _binned(grey: np.ndarray, by: int) -> np.ndarray:
 def roughness_px(xy_px: np.ndarray, uv: np.ndarray) -> float:
     """Median distance of the seen points from a smooth map of the board, px: what no lens can do."""
     seen = np.isfinite(xy_px).all(axis=-1)
-    return float(np.median(np.linalg.norm(_local_map(xy_px[seen], uv[seen])[2], axis=1)))
+    return float(np.median(np.linalg.norm(local_map(xy_px[seen], uv[seen])[2], axis=1)))
 
 
-def _local_map(xy_px: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def local_map(xy_px: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Axes (P, 2, 2) px a spacing, columns by u and v; bend (P, 2, 3), terms of uu, uv, vv; residual (P, 2) of the points."""
     smooth, by_u, by_v, *second = _smoothing(uv.tobytes()) @ xy_px
     return np.stack([by_u, by_v], axis=-1), np.stack(second, axis=-1), xy_px - smooth

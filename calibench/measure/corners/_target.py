@@ -7,6 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 
+class Unsettled(Exception):
+    """A part of the target is seen, and it is not settled which part; the message says what is seen."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Target:
     """board: points (columns, rows): inner corners, or dots. square_mm: their distance along a row (asymmetric dots: half of

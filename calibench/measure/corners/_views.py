@@ -14,7 +14,7 @@ from ... import registry
 from ...errors import BadInput, UsageError
 from ...records import Frame
 from ._symmetry import refine, roughness_px
-from ._target import Target
+from ._target import Target, Unsettled
 
 FOLDER = "calibench.measure.corners"
 REFINERS = ("symmetry", "detector")  # the second: sub-pixel places as the detector itself gives them
@@ -62,24 +62,52 @@ def shade(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
 
 def look(grey: np.ndarray, fine: np.ndarray, target: Target, able: Sequence[ModuleType],
          window: float) -> dict[str, Points] | None:
-    """The target by each of REFINERS, from the first detector that sees it; None where none does.
+    """The target by each of REFINERS, from the first detector that sees all of it, or else the one that sees most.
 
     Args:
         grey, fine: from `shade`. window: half width of the refinement as a fraction of the local spacing, kept within what the
             detector's target allows.
+
+    Returns:
+        None where no detector sees the target.
+
+    Raises:
+        Unsettled: a part of it is seen, and none can tell which.
     """
+    best, unsettled = None, None
     for module in able:
-        rough = module.find(grey, target)
-        if rough is not None:
-            uv = module.points(target.board)
-            nearest = np.linalg.norm(uv[1:] - uv[0], axis=1).min()
-            xy, covariance = refine(fine, rough, uv / nearest, float(np.clip(window, *module.WINDOWS)))
-            if np.isfinite(xy[:, 0]).sum() >= LEAST_POINTS:
-                own = roughness_px(rough, uv)
-                as_found = np.where(np.isfinite(rough)[..., None], np.eye(2) * own**2, np.nan)
-                return {"symmetry": Points(xy_px=xy, covariance_px2=covariance, roughness_px=roughness_px(xy, uv)),
-                        "detector": Points(xy_px=rough, covariance_px2=as_found, roughness_px=own)}
-    return None
+        try:
+            rough = module.find(grey, target)
+        except Unsettled as error:
+            unsettled = error
+            continue
+        if rough is None:
+            continue
+        seen = _refined(fine, rough, module, target, window)
+        if seen and (best is None or _count(seen) > _count(best)):
+            best = seen
+        if np.isfinite(rough).all() and seen:
+            break
+    if best is None and unsettled:
+        raise unsettled
+    return best
+
+
+def _refined(fine: np.ndarray, rough: np.ndarray, module: ModuleType, target: Target, window: float) -> dict[str, Points] | None:
+    """The points by each of REFINERS; None where too few remain."""
+    uv = module.points(target.board)
+    nearest = np.linalg.norm(uv[1:] - uv[0], axis=1).min()
+    xy, covariance = refine(fine, rough, uv / nearest, float(np.clip(window, *module.WINDOWS)))
+    if np.isfinite(xy[:, 0]).sum() < LEAST_POINTS:
+        return None
+    own = roughness_px(rough, uv)
+    as_found = np.where(np.isfinite(rough)[..., None], np.eye(2) * own**2, np.nan)
+    return {"symmetry": Points(xy_px=xy, covariance_px2=covariance, roughness_px=roughness_px(xy, uv)),
+            "detector": Points(xy_px=rough, covariance_px2=as_found, roughness_px=own)}
+
+
+def _count(seen: dict[str, Points]) -> int:
+    return int(np.isfinite(seen["symmetry"].xy_px[:, 0]).sum())
 
 
 def points_mm(target: Target, module: ModuleType) -> np.ndarray:
@@ -92,7 +120,8 @@ def check_board_size(found: Sequence[tuple[np.ndarray, np.ndarray]], missed: Seq
     """Ask whether the board is larger than said or, where it was never found, of a neighbouring size.
 
     Args:
-        found: some views that show it with its points (P, 2) px. missed: some that do not.
+        found: some views that show it with its points (P, 2) px, NaN: not seen. missed: some that do not. Where no view shows
+            all of the points, a neighbouring size is sought as if none had been found.
 
     Raises:
         BadInput: another size is what most of the probed views show.
@@ -104,9 +133,10 @@ def check_board_size(found: Sequence[tuple[np.ndarray, np.ndarray]], missed: Seq
         there = [module.find(grey, dataclasses.replace(target, board=size)) for grey in views]
         return sum(xy is not None and bool(np.isfinite(xy).all()) for xy in there) * 2 > len(views)
 
-    if found and not any(module.may_go_on(grey, xy, size) for grey, xy in found):
+    whole = [(grey, xy) for grey, xy in found if np.isfinite(xy).all()]
+    if whole and not any(module.may_go_on(grey, xy, size) for grey, xy in whole):
         return
-    if not found:
+    if not whole:
         around = ((columns + i, rows + j) for i in (1, 0, -1) for j in (1, 0, -1))
         size = next((s for s in around if s != target.board and min(s) > 2 and seen(s)), target.board)
     while larger := next((s for s in ((size[0] + 1, size[1]), (size[0], size[1] + 1)) if seen(s)), None):
