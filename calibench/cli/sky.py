@@ -22,12 +22,16 @@ def solve(frames: Frames, map_: Map = None,
           fov_deg: Annotated[float | None, typer.Option(help="Horizontal field, degrees, to 10 %; without a map.",
                                                         min=0.5, max=120)] = None,
           identify: Identify = "pattern", attitude: AttitudeName = "quest", detector: Detector = "components",
-          centroid: Centroid = "gaussian", k_sigma: KSigma = 5.0, json_: Json = False) -> None:
+          centroid: Centroid = "gaussian", k_sigma: KSigma = 5.0,
+          station: Annotated[str | None, typer.Option(help="Place or velocity, air, shutter: a TOML file, or its keys written "
+                                                           "out: 'latitude_deg = 48.2; longitude_deg = 16.4'.")] = None,
+          json_: Json = False) -> None:
     """Where each frame looks: spots, star identification, attitude."""
     import math
 
     from ..io.frames import find_frames
     from ..io.map_file import read_map
+    from ..io.station import read_station
     from ..session.results import solved_json
     from ..session.sky import Sky, solve_files
     settings = _settings(detector, centroid, attitude, identify, k_sigma)
@@ -37,7 +41,7 @@ def solve(frames: Frames, map_: Map = None,
     paths = find_frames(frames)
     if lens_known and fov_deg is not None:
         say("the map's lens is used; --fov-deg is not needed and was not used")
-    sky, out = Sky(method=identify), []
+    sky, out = Sky(method=identify, station=read_station(station) if station else None), []
     with progress() as tell:
         named = frozenset(path for path in paths if path in frames)
         stars = sky.table

@@ -28,9 +28,9 @@ def observer_at(date_obs: str | None, station: Station | None = None) -> Observe
     """The observer at an ISO 8601 date (UTC where it names no offset); None: an undated observer at rest at J2000.0.
 
     Position and velocity of the Earth are barycentric, ICRS axes, from ERFA's epv00 (Bretagnon and Francou VSOP2000,
-    simplified; good to 9 km and 2.4 mm/s rms). TT stands for TDB, which differs by less than 2 ms, and UTC for UT1, which differs by less
-    than 0.9 s: 14 arcsec of zenith, a thousandth of an arcsecond of aberration. A station's velocity is added; a place turns
-    with the Earth (ERFA's pvtob, IAU 2006/2000A).
+    simplified; good to 9 km and 2.4 mm/s rms). TT stands for TDB, which differs by less than 2 ms, and UTC for UT1, which
+    differs by less than 0.9 s: 14 arcsec of zenith, a thousandth of an arcsecond of aberration. A station's velocity is added;
+    a place turns with the Earth (ERFA's pvtob, IAU 2006/2000A).
 
     Raises:
         BadInput: not a date, outside 1972 to 2100 (a clock that was never set says 1970), or a station without a date.

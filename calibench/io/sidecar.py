@@ -133,6 +133,16 @@ def _check(table: object, where: str, problems: list[tuple[str, str]]) -> None:
             holds, wanted = _RULES[key]
             if not holds(value):
                 problems.append((where + key, f"{value!r} is not {wanted}"))
+            elif key == "station":
+                problems += [(where + key, what) for what in _station_mistakes(value)]
+
+
+def _station_mistakes(table: Mapping) -> list[str]:
+    try:
+        station_of(table)
+    except BadInput as fault:
+        return [fault.what.removeprefix("station: ")]
+    return []
 
 
 def _number(minimum: float = -math.inf, *, above: bool = False) -> Callable[[object], bool]:

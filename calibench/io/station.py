@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 
 from ..errors import BadInput
 from ..records import Station
@@ -46,3 +48,19 @@ def _is_number(value: object) -> bool:
 
 def _wanted(key: str) -> str:
     return "a text" if key in TEXTS else "three numbers" if key in VECTORS else "a finite number"
+
+
+def read_station(text: str) -> Station:
+    """The station of a TOML file, by its path, or of keys written out: `latitude_deg = 48.2; longitude_deg = 16.4`.
+
+    Raises:
+        BadInput: no such file, no TOML, or as `station_of`.
+    """
+    written = "=" in text
+    file = None if written else Path(text)
+    try:
+        table = tomllib.loads(text.replace(";", "\n") if written else file.read_text(encoding="utf-8"))
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        raise BadInput(f"station: {'' if written else 'no readable file: '}{fault}", file=file,
+                       mend='write latitude_deg = 48.2; refraction = "erfa", or name a TOML file with such lines') from fault
+    return station_of(table.get("station", table), file=file)

@@ -61,6 +61,7 @@ def solved_json(solved: SolvedFrame, calmap: CalibrationMap | None, stars: tuple
     return out | {"map_outside_conditions": bool(solved.outside), "warnings": [*solved.outside, *solved.warnings],
                   "spot_flags": flags, "frame_notes": list(solved.frame.notes) if solved.frame else [],
                   "lens_from": "map" if lens_known else "fitted to this frame",
+                  "time_utc": solved.observer.time_utc or None,
                   "timings_ms": {k: round(1e3 * v, 3) for k, v in solution.timings_s.items()}}
 
 

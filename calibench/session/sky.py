@@ -9,9 +9,9 @@ from time import perf_counter
 
 from ..calmap.correct import correct, outside_conditions
 from ..errors import BadInput
-from ..io.observer import observer_at
+from ..io.observer import frame_observer, observer_at
 from ..io.star_table import load_star_table
-from ..records import Attitude, CalibrationMap, Frame, Identification, Observer, Spots, StarTable
+from ..records import Attitude, CalibrationMap, Frame, Identification, Observer, Spots, StarTable, Station
 from ..stars.lost_in_space import LostInSpace
 from ..stars.sky_catalogue import SkyCatalogue
 from ..stars.solve import Lens, Solution, Solver
@@ -20,10 +20,14 @@ from .reading import read_or_reason
 
 @dataclass
 class Sky:
-    """The star table as seen on each date, each with its identifier; made once a date (stars do not move within a day)."""
+    """The star table as seen on each date, each with its identifier; made once a date (stars do not move within a day).
+
+    station: place or velocity, air and shutter of all frames; it goes before what a frame's own sidecar says.
+    """
 
     method: str = "pattern"
     table: StarTable = field(default_factory=load_star_table)
+    station: Station | None = None
     finders: dict[str | None, LostInSpace] = field(default_factory=dict)
     familiar: dict = field(default_factory=dict)
 
@@ -32,12 +36,19 @@ class Sky:
         day = date_obs[:10] if date_obs else None
         if day not in self.finders:
             # Aberration changes by 0.35 arcsec a day, so each day has its own sky; noon keeps the error below half of that.
-            observer = observer_at(f"{day}T12:00:00") if day else Observer()
-            finder = LostInSpace(sky=SkyCatalogue.seen_by(self.table, observer), method=self.method)
-            if self.finders:  # rows and sides of the patterns are the same stars' on any date, to far below the tolerance
-                finder.tables = next(iter(self.finders.values())).tables
-            self.finders[day] = finder
+            self.finders[day] = self._finder(observer_at(f"{day}T12:00:00") if day else Observer())
         return self.finders[day]
+
+    def _finder(self, observer: Observer) -> LostInSpace:
+        finder = LostInSpace(sky=SkyCatalogue.seen_by(self.table, observer), method=self.method)
+        if self.finders:  # rows and sides of the patterns are the same stars' on any date, to far below the tolerance
+            finder.tables = next(iter(self.finders.values())).tables
+        return finder
+
+    def finder_of(self, frame: Frame, observer: Observer) -> LostInSpace:
+        """The identifier for one frame: of its day, and of its own sky where air bends it (by arcminutes near the horizon)."""
+        day = self.finder(frame.date_obs)
+        return day if observer.refraction is None else self._finder(observer)
 
     def solve(self, frame: Frame, calmap: CalibrationMap | None, *, fov_rad: float | None = None, settings: dict | None = None,
               read_s: float = 0.0) -> SolvedFrame:
@@ -50,9 +61,10 @@ class Sky:
         layers = calmap or CalibrationMap(image_size_px=frame.image_size_px)
         corrected = correct(frame, layers)
         timings = {"read": read_s, "correct": perf_counter() - start}
-        solver = Solver(finder=self.finder(frame.date_obs), familiar=self.familiar, **(settings or {}))
-        solution = solver.solve(corrected, Lens.of(layers, fov_rad))
-        return SolvedFrame(frame=frame, solution=replace(solution, timings_s=timings | solution.timings_s),
+        observer = frame_observer(frame, self.station)
+        solver = Solver(finder=self.finder_of(frame, observer), familiar=self.familiar, **(settings or {}))
+        solution = solver.solve(corrected, Lens.of(layers, fov_rad), observer)
+        return SolvedFrame(frame=frame, observer=observer, solution=replace(solution, timings_s=timings | solution.timings_s),
                            outside=outside_conditions(frame, layers), warnings=corrected.warnings)
 
 
@@ -68,10 +80,11 @@ def _unread(path: Path, fault: BadInput, method: str) -> SolvedFrame:
 @dataclass(frozen=True, kw_only=True)
 class SolvedFrame:
     """A frame (None: it could not be read) with its solution; outside: the map's conditions that it does not meet; warnings:
-    what else a user should know."""
+    what else a user should know. observer: the frame's, whose time_utc is the attitude's time tag."""
 
     frame: Frame | None
     solution: Solution
+    observer: Observer = field(default_factory=Observer)
     outside: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 

@@ -14,7 +14,7 @@ MAS_RAD = np.pi / 180 / 3600 / 1000
 
 
 def star_directions(table: StarTable, observer: Observer) -> np.ndarray:
-    """(N, 3) unit vectors in ICRS axes as the observer sees them: proper motion, parallax, aberration.
+    """(N, 3) unit vectors in ICRS axes as the observer sees them: proper motion, parallax, aberration, refraction.
 
     Without a date the observer stands still at J2000.0 (DESIGN: positions at epoch J2000.0, no aberration).
     """
@@ -26,7 +26,7 @@ def star_directions(table: StarTable, observer: Observer) -> np.ndarray:
     motion = (table.pm_ra_mas_yr[:, None] * east + table.pm_dec_mas_yr[:, None] * north) * (years * MAS_RAD)
     shift = -np.maximum(table.parallax_mas, 0)[:, None].astype(float) * MAS_RAD * observer.position_au
     moved = at + motion + shift
-    return sphere.aberrate(moved / np.linalg.norm(moved, axis=1, keepdims=True), observer.velocity_c)
+    return sphere.as_seen(moved / np.linalg.norm(moved, axis=1, keepdims=True), observer)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 1. Spots: background, detection, centroids with covariance.                       (spots)
 2. Identification, lost in space, with the map's lens, a given field, or neither.  (lost_in_space)
 3. Attitude by the named method without outliers, its covariance and residuals.    (frame_attitude)
-4. Where the image's centre looks, with aberration taken off.                      (geometry)
+4. Where the image's centre looks, with aberration and refraction taken off.       (geometry)
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from time import perf_counter
 import numpy as np
 
 from ..geometry import projection, rotation, sphere
-from ..records import Attitude, CalibrationMap, CorrectedFrame, Identification, Intrinsics, PsfMap, Spots
+from ..records import Attitude, CalibrationMap, CorrectedFrame, Identification, Intrinsics, Observer, PsfMap, Spots
 from ..spots.find import find_spots
+from .astrometry import as_observed
 from .frame_attitude import attitude_without_outliers, spot_weights
 from .lens_error import systematic
 from .lost_in_space import LostInSpace
@@ -82,8 +83,8 @@ class Solver:
     k_sigma: float = 5.0
     familiar: dict[tuple[int, int], Intrinsics] = field(default_factory=dict)
 
-    def solve(self, corrected: CorrectedFrame, lens: Lens) -> Solution:
-        """Solve one corrected frame.
+    def solve(self, corrected: CorrectedFrame, lens: Lens, observer: Observer | None = None) -> Solution:
+        """Solve one corrected frame. observer: the frame's own, where it is more exact than that of the finder's sky.
 
         Raises:
             UsageError: an unknown detector, centroider, identifier or attitude method.
@@ -96,7 +97,9 @@ class Solver:
         found = self.finder.identify(spots, size, lens=lens.intrinsics, fov_rad=lens.fov_rad, familiar=self.familiar.get(size))
         found = replace(found, file=corrected.file)
         clock.append(perf_counter())
+        observer = observer or self.finder.sky.observer
         if found.status == "solved":
+            found = as_observed(found, self.finder.sky.table, observer)
             found, attitude = attitude_without_outliers(found, self.attitude_method, calibrated=lens.intrinsics is not None)
             if lens.intrinsics is None:
                 self.familiar[size] = found.intrinsics
@@ -111,17 +114,16 @@ class Solver:
             matrix = rotation.matrix_from_quaternion(attitude.q_cam_icrs)
             bias, centre = systematic(found, matrix, spot_weights(found, calibrated=True))
             solution = replace(solution, systematic_covariance_rad2=bias, systematic_centre_rad=centre)
-        return _pointed(solution, self.finder)
+        return _pointed(solution, observer)
 
 
-def _pointed(solution: Solution, finder: LostInSpace) -> Solution:
-    """With the sky direction of the image's centre: aberration removed, so that it is where the catalogue says it looks."""
+def _pointed(solution: Solution, observer: Observer) -> Solution:
+    """With the sky direction of the image's centre: aberration and refraction removed, so that it is where a catalogue says."""
     lens = solution.identification.intrinsics
     w, h = lens.image_size_px
     centre, above = projection.unproject(lens, np.array([[(w - 1) / 2, (h - 1) / 2], [(w - 1) / 2, (h - 1) / 2 - 1]]))
     matrix = rotation.matrix_from_quaternion(solution.attitude.q_cam_icrs)
-    velocity = finder.sky.observer.velocity_c
-    there, up = (sphere.remove_aberration(matrix.T @ v, velocity) for v in (centre, above))
+    there, up = (sphere.as_catalogued(matrix.T @ v, observer) for v in (centre, above))
     ra, dec = sphere.radec_from_unit(there)
     return replace(solution, ra_rad=float(ra), dec_rad=float(dec), roll_rad=sphere.position_angle(there, up),
                    fov_rad=horizontal_fov(lens))
