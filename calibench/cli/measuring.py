@@ -116,6 +116,10 @@ def _print(values: dict) -> None:
     defects = {k: v for k, v in values.get("defects", {}).items() if v}
     if "defects" in values:
         print("\ndefective pixels: " + (", ".join(f"{v} {k}" for k, v in defects.items()) or "none"))
+    if "views" in values:
+        print("\n" + table(("view", "rms (px)", "left out: rms (px)", "left out: corners move (sd)"),
+                           [(v["file"], *(number(v[name], 3) for name in ("rms_px", "left_out_rms_px", "effect_sd")))
+                            for v in sorted(values["views"], key=lambda v: -(v["effect_sd"] or 0))]))
     print(f"\nframes used: {values['frames_used']}")
     for entry in values["frames_rejected"]:
         say(f"left out {entry['file']}: {entry['reason']}")

@@ -25,11 +25,12 @@ from ._bundle.adjust import Solution
 from ._bundle.outliers import Rejection
 from ._bundle.start import TILT as TILT_ADVICE
 from ._ledger import Ledger
-from ._lens_figures import lens_quantities
+from ._lens_figures import left_out_figures, lens_quantities
 from .corners import _views as corner
 from .corners._target import Target, Unsettled
 
 PROBED_VIEWS = 4
+PICTURED_VIEWS = 3  # the worst, for whoever asks why they are
 WORTH_ANOTHER_REFINER = 0.8  # of the roughness: less is chance
 MIN_TILT_SPREAD_RAD = np.radians(5)
 MAX_RELATIVE_FOCAL_SD = 0.05
@@ -42,8 +43,8 @@ class Settings:
     """board: inner corners (columns, rows). model None: chosen by held-out error among brown4, brown5, rational8.
 
     target: what stands before the camera, a `TARGET` of `measure/corners`. detector: one file of that folder; None: all that
-    can see the target, until one sees all of it. marker_mm, dictionary: of a ChArUco board (`corners._target.Target`). window: half
-    width of the refinement as a fraction of the local spacing, kept within what the target allows. outlier_sigma: corners
+    can see the target, until one sees all of it. marker_mm, dictionary: of a ChArUco board (`corners._target.Target`). window:
+    half width of the refinement as a fraction of the local spacing, within what the target allows. outlier_sigma: corners
     farther off than this many robust sigma are dropped, at most the share `max_outliers` of them. worst_view: a view is
     dropped whose median residual exceeds the median view's by this factor.
     """
@@ -73,13 +74,13 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     settings = settings or Settings()
     _check(settings)
     ledger = Ledger(settings, "board views")
-    names, seen, points_mm = _find_corners(frames, settings, ledger)
+    names, seen, points_mm, small = _find_corners(frames, settings, ledger)
     size = ledger.first.image_size_px
 
     refiner, corners, corners_covariance_px2 = _choose_refiner(seen)
 
     model, held_out = _choose_model(corners, points_mm, size, settings)
-    solution, inlier, kept = _robust(corners, points_mm, size, model, settings)
+    solution, _, kept = _robust(corners, points_mm, size, model, settings)
     for i in np.flatnonzero(~kept):
         ledger.rejected.append((names[i], f"residual more than {settings.worst_view:g} times the median view's: "
                                           "blurred, or another board"))
@@ -93,14 +94,16 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     intrinsics = dataclasses.replace(solution.intrinsics, covariance=recommended[:lens, :lens])
     warnings += board_lens.refused_warning(settings.model, held_out)
     provenance = ledger.provenance()
+    left_out, of_views = left_out_figures(solution, intrinsics)
     return Measurement(
         name="intrinsics", image_size_px=size, intrinsics=intrinsics,
         quantities=(*lens_quantities(intrinsics, LENS_SOURCE), *_bow_quantities(solution, recommended),
-                    *_fit_quantities(solution, corners[kept], held_out.get(model), len(ledger.inputs))),
-        evidence=_evidence(solution, corners[kept], size) | {
+                    *_fit_quantities(solution, corners[kept], held_out.get(model), len(ledger.inputs)), left_out),
+        evidence=_evidence(solution, corners[kept], small[kept]) | of_views | {
             "corners_covariance_px2": corners_covariance_px2[kept][np.isfinite(corners[kept]).all(axis=-1)],
             "uncertainty_classical": np.sqrt(np.diag(classical)),
-            "held_out_rms_by_model_px": np.array([held_out.get(m, np.nan) for m in CANDIDATE_MODELS])},
+            "held_out_rms_by_model_px": np.array([held_out.get(m, np.nan) for m in CANDIDATE_MODELS]),
+            "training_rms_by_model_px": _training(corners, points_mm, size, settings, {model: solution} if held_out else {})},
         provenance=dataclasses.replace(provenance, settings={
             **provenance.settings, "model": model, "refiner": refiner, "views": tuple(Path(name).name for name in names)}),
         warnings=tuple(warnings), frames_used=len(names), frames_rejected=tuple(ledger.rejected))
@@ -114,13 +117,14 @@ def _check(settings: Settings) -> None:
         raise BadInput(f"square size {settings.square_mm} mm is not positive")
 
 
-def _find_corners(frames: Iterable[Frame], settings: Settings, ledger: Ledger) -> tuple[list[str], list[dict], np.ndarray]:
-    """File names and points {refiner: Points} of the views that show the target, and its points (P, 3) in mm."""
+def _find_corners(frames: Iterable[Frame], settings: Settings,
+                  ledger: Ledger) -> tuple[list[str], list[dict], np.ndarray, np.ndarray]:
+    """Of the views that show the target: file names, points {refiner: Points}, its points (P, 3) in mm, small pictures."""
     target = Target(board=settings.board, square_mm=settings.square_mm, marker_mm=settings.marker_mm,
                     dictionary=settings.dictionary)
     able = corner.detectors(settings.target, settings.detector)
     quick, *_ = corner.detectors(settings.target, None)
-    names, seen = [], []
+    names, seen, small = [], [], []
     found, missed = [], []  # a few images each, to ask about another board size
     for frame in frames:
         if not ledger.take(frame):
@@ -139,6 +143,7 @@ def _find_corners(frames: Iterable[Frame], settings: Settings, ledger: Ledger) -
             continue
         names.append(frame.file or frame.name)
         seen.append(points)
+        small.append(corner.thumbnail(grey))
         found += [(grey, points[corner.REFINERS[0]].xy_px)] if len(found) < PROBED_VIEWS else []
     ledger.first  # noqa: B018  raises where there was no frame at all
     corner.check_board_size(found, missed, target, quick)
@@ -147,7 +152,7 @@ def _find_corners(frames: Iterable[Frame], settings: Settings, ledger: Ledger) -
                        f"{settings.board[0]}x{settings.board[1]} board, {MIN_VIEWS} are the least"
                        + "".join(f"\n  {file}: {why}" for file, why in ledger.rejected),
                        mend="take ten or more sharp views of the whole board, " + TILT_ADVICE)
-    return names, seen, corner.points_mm(target, quick)
+    return names, seen, corner.points_mm(target, quick), np.array(small)
 
 
 def _choose_refiner(seen: list[dict]) -> tuple[str, np.ndarray, np.ndarray]:
@@ -167,6 +172,20 @@ def _choose_model(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, i
                 for model in dict.fromkeys((*CANDIDATE_MODELS, settings.model or CANDIDATE_MODELS[0]))}
     model = settings.model or board_lens.best_model({m: held_out[m] for m in CANDIDATE_MODELS})
     return model, {m: float(np.sqrt(square.mean())) for m, square in held_out.items()}
+
+
+def _training(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, int], settings: Settings,
+              known: dict[str, Solution]) -> np.ndarray:
+    """rms (px) over the inliers of each candidate model fitted to all views; NaN where it was not asked for or does not fit."""
+    out = np.full(len(CANDIDATE_MODELS), np.nan)
+    for i, model in enumerate(CANDIDATE_MODELS if known else ()):
+        try:
+            solution = known.get(model) or _robust(corners, points_mm, size, model, settings)[0]
+        except BadInput:  # a model that folds is no candidate
+            continue
+        inlier = solution.blocks[0].weight > 0
+        out[i] = np.sqrt(np.sum(solution.residual_px[inlier] ** 2) / inlier.sum())
+    return out
 
 
 def _rejection(settings: Settings) -> Rejection:
@@ -194,15 +213,18 @@ def _check_observable(solution: Solution, classical: np.ndarray) -> None:
                        mend=TILT_ADVICE)
 
 
-def _evidence(solution: Solution, corners: np.ndarray, size: tuple[int, int]) -> dict[str, np.ndarray]:
+def _evidence(solution: Solution, corners: np.ndarray, small: np.ndarray) -> dict[str, np.ndarray]:
     """Observations and residuals of the corners found, view by view, and what is known of each view."""
     (boards,) = solution.blocks
     found = np.isfinite(corners).all(axis=-1)
     view, point = np.nonzero(found)
     square = np.where(found, np.sum(solution.residual_px**2, axis=-1), 0)
+    rms = np.sqrt(square.sum(axis=1) / found.sum(axis=1))
+    worst = np.argsort(-rms)[:PICTURED_VIEWS]
     return {"corners_xy_px": corners[found], "corners_view": view, "corners_board_mm": boards.points_mm[point],
             "residual_px": solution.residual_px[found], "inlier": boards.weight[found] > 0, "poses": boards.poses,
-            "view_rms_px": np.sqrt(square.sum(axis=1) / found.sum(axis=1)), "coverage_count": _coverage(corners[found], size)}
+            "view_rms_px": rms, "worst_views": worst, "worst_views_picture": small[worst],
+            "coverage_count": _coverage(corners[found], solution.intrinsics.image_size_px)}
 
 
 def _coverage(xy_px: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -20,7 +20,7 @@ from ..records import CalibrationMap, Identification, Intrinsics, Measurement, P
 from ._board_lens import best_model, refused_warning
 from ._bundle import covariance
 from ._bundle.outliers import Rejection
-from ._lens_figures import lens_quantities
+from ._lens_figures import left_out_figures, lens_quantities
 from ._star_solve import MIN_FRAMES, HeldOut, StarSolution, held_out, solve
 
 MIN_STARS = 4  # of a frame: three more coordinates than its attitude takes
@@ -74,10 +74,12 @@ def measure(frames: Iterable[Identification], settings: Settings | None = None,
     classical, recommended = covariance.classical(solved.solution), covariance.recommended(solved.solution)
     intrinsics = dataclasses.replace(solved.solution.intrinsics, covariance=recommended)
     names = [name for name, keep in zip(names, solved.kept, strict=True) if keep]
+    left_out, of_views = left_out_figures(solved.solution, intrinsics)
     return Measurement(
         name="star_lens", image_size_px=first.image_size_px, intrinsics=intrinsics,
-        quantities=(*lens_quantities(intrinsics, LENS_SOURCE), *_fit_quantities(solved, held.get(model), len(given))),
-        evidence=_evidence(solved) | {
+        quantities=(*lens_quantities(intrinsics, LENS_SOURCE), *_fit_quantities(solved, held.get(model), len(given)),
+                    left_out),
+        evidence=_evidence(solved) | of_views | {
             "uncertainty_classical": np.sqrt(np.diag(classical)),
             "held_out_rms_by_model_px": np.array([_rms(held[m].square_px2) if held else np.nan for m in CANDIDATE_MODELS])},
         provenance=Provenance(settings={**dataclasses.asdict(settings), "model": model, "views": tuple(names)}),

@@ -44,7 +44,18 @@ def _lens_json(measurement: Measurement) -> dict:
             "uncertainty": {n: finite(s) for n, s in zip(names, np.sqrt(np.diag(lens.covariance)), strict=True)},
             "uncertainty_classical": {n: finite(s) for n, s in zip(names, classical, strict=False)},
             "rms_px": values["rms_px"], "rms_all_px": values["rms_all_px"], "held_out_rms_px": values["held_out_rms_px"],
-            "board_bow_mm": bow, "image_size_px": list(lens.image_size_px)} | counts
+            "leave_one_out_rms_px": finite(values["leave_one_out_rms_px"]),
+            "board_bow_mm": bow, "image_size_px": list(lens.image_size_px), "views": _views_json(measurement)} | counts
+
+
+def _views_json(measurement: Measurement) -> list[dict]:
+    """What each view used says of itself and means to the lens."""
+    of, names = measurement.evidence, measurement.intrinsics.parameter_names
+    rows = zip(measurement.provenance.settings["views"], of["view_rms_px"], of["view_left_out_rms_px"], of["view_effect_sd"],
+               of["view_effect_by_parameter_sd"], strict=True)
+    return [{"file": file, "rms_px": finite(rms), "left_out_rms_px": finite(left_out), "effect_sd": finite(effect),
+             "effect_by_parameter_sd": {n: finite(e) for n, e in zip(names, by_parameter, strict=True)}}
+            for file, rms, left_out, effect, by_parameter in rows]
 
 
 def solved_json(solved: SolvedFrame, calmap: CalibrationMap | None, stars: tuple[np.ndarray, np.ndarray]) -> dict:

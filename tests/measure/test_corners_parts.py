@@ -1,4 +1,4 @@
-"""Checkerboards of which only a part is seen: the right corners under the right identity, or a refusal; never a silent shift."""
+"""Checkerboards of which a part is seen: the right corners under the right identity, or a refusal; never a silent shift."""
 
 from __future__ import annotations
 

@@ -19,6 +19,7 @@ from ._target import Target, Unsettled
 FOLDER = "calibench.measure.corners"
 REFINERS = ("symmetry", "detector")  # the second: sub-pixel places as the detector itself gives them
 LEAST_POINTS = 9
+THUMBNAIL_PX = 320
 DEMOSAIC = {"RGGB": cv2.COLOR_BayerRGGB2GRAY, "BGGR": cv2.COLOR_BayerBGGR2GRAY,
             "GRBG": cv2.COLOR_BayerGRBG2GRAY, "GBRG": cv2.COLOR_BayerGBRG2GRAY}
 
@@ -60,6 +61,13 @@ def shade(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
     return np.clip((data - low) * (255 / max(high - low, 1)), 0, 255).astype(np.uint8), data
 
 
+def thumbnail(grey: np.ndarray) -> np.ndarray:
+    """A small picture (h, w) uint8 of a view."""
+    height, width = grey.shape
+    by = max(1.0, max(height, width) / THUMBNAIL_PX)
+    return cv2.resize(grey, (round(width / by), round(height / by)), interpolation=cv2.INTER_AREA)
+
+
 def look(grey: np.ndarray, fine: np.ndarray, target: Target, able: Sequence[ModuleType],
          window: float) -> dict[str, Points] | None:
     """The target by each of REFINERS, from the first detector that sees all of it, or else the one that sees most.
@@ -93,7 +101,8 @@ def look(grey: np.ndarray, fine: np.ndarray, target: Target, able: Sequence[Modu
     return best
 
 
-def _refined(fine: np.ndarray, rough: np.ndarray, module: ModuleType, target: Target, window: float) -> dict[str, Points] | None:
+def _refined(fine: np.ndarray, rough: np.ndarray, module: ModuleType, target: Target,
+             window: float) -> dict[str, Points] | None:
     """The points by each of REFINERS; None where too few remain."""
     uv = module.points(target.board)
     nearest = np.linalg.norm(uv[1:] - uv[0], axis=1).min()

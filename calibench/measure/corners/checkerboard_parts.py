@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from ._lattice import lattice
-from ._saddles import sampled, saddles
+from ._saddles import saddles, sampled
 from ._target import Target, Unsettled
 from .checkerboard import POINT, TARGET, WINDOWS, may_go_on, points
 

@@ -8,11 +8,29 @@ import numpy as np
 
 from ...geometry import rotation
 from ...records import Intrinsics, Measurement
-from ..draw import BELOW_IN, BLUE, FAINT, GREY, HALF, INK, LABELS_IN, ORANGE, TALLEST_IN, TITLE_IN, WIDE, png, sheet
+from ..draw import (
+    BELOW_IN,
+    BLUE,
+    FAINT,
+    GREY,
+    HALF,
+    INK,
+    LABELS_IN,
+    ORANGE,
+    TALLEST_IN,
+    TITLE_IN,
+    WIDE,
+    png,
+    sensor_axes,
+    sensor_sheet,
+    sheet,
+)
 from ..numbers import fixed, number, plural, sentence
 from ..section import Figure, Table
 
 MOST_NAMED_VIEWS = 40
+GREYS = 16  # steps of a picture: finer ones make large files
+ARROW_SHARE = 0.08  # of the image's width: a long residual among the worst views
 NEEDED = {"poses", "corners_view", "corners_board_mm", "residual_px", "inlier", "view_rms_px"}
 
 
@@ -58,12 +76,16 @@ def listing(measurement: Measurement) -> Table | None:
     largest = np.zeros(len(rms))
     np.maximum.at(largest, evidence["corners_view"], np.hypot(*evidence["residual_px"].T))
     order = np.argsort(-rms)[:MOST_NAMED_VIEWS]
-    rows = tuple((named[i], str(used[i]), str(out[i]), number(rms[i], 3), number(largest[i], 3),
+    unseen, effect = (evidence.get(name, np.full(len(rms), np.nan)) for name in ("view_left_out_rms_px", "view_effect_sd"))
+    rows = tuple((named[i], str(used[i]), str(out[i]), *(number(x[i], 3) for x in (rms, largest, unseen)), number(effect[i], 2),
                   fixed(np.degrees(stands.tilt_rad[i]), 1), fixed(stands.distance_mm[i], 0)) for i in order)
-    columns = ("View", "Corners used", "Left out", "rms (px)", "Largest residual (px)", "Tilt (degrees)", "Distance (mm)")
+    columns = ("View", "Corners used", "Left out", "rms (px)", "Largest residual (px)", "rms unseen (px)", "Effect (σ)",
+               "Tilt (degrees)", "Distance (mm)")
     shown = f"the worst {len(order)} of {len(rms)} views" if len(order) < len(rms) else f"all {plural(len(rms), 'view')}"
     return Table(title="Views, worst first", columns=columns, rows=rows, numbers=frozenset(columns[1:]),
                  note=sentence(f"{shown}; rms and largest residual over all corners, those left out included",
+                               "unseen: over inliers, under the lens of the other views",
+                               "effect: how far the image's corners move when the view is left out, in their uncertainty",
                                "tilt: the board's normal against the optical axis",
                                "distance: from the camera to the middle of the board"))
 
@@ -109,6 +131,30 @@ def _field_edges(lens: Intrinsics) -> np.ndarray:
     if lens.is_fisheye:
         edges = np.tan(np.clip(edges, -1.4, 1.4))
     return edges * [[-1 if lens.mirrored else 1], [1]]
+
+
+def worst(measurement: Measurement) -> Figure | None:
+    """Small pictures of the worst views, with their corners and residuals."""
+    evidence = measurement.evidence
+    if not evidence.keys() >= NEEDED | {"worst_views", "worst_views_picture"}:
+        return None
+    chosen, named, (w, h) = evidence["worst_views"], names(measurement), measurement.image_size_px
+    view, xy, residual, inlier = (evidence[n] for n in ("corners_view", "corners_xy_px", "residual_px", "inlier"))
+    shown = np.isin(view, chosen)
+    scale = ARROW_SHARE * w / max(np.percentile(np.hypot(*residual[shown].T), 95), 1e-9)
+    made, panels = sensor_sheet((w, h), wide=True, columns=len(chosen), bars=False)
+    for axes, i, picture in zip(panels, chosen, evidence["worst_views_picture"], strict=True):
+        sensor_axes(axes, (w, h), f"{named[i]}: {number(evidence['view_rms_px'][i], 3)} px")
+        axes.imshow(picture // GREYS * GREYS, extent=(-0.5, w - 0.5, h - 0.5, -0.5), cmap="gray", alpha=0.75)
+        for those, colour in ((inlier.astype(bool), BLUE), (~inlier.astype(bool), ORANGE)):
+            here = those & (view == i)
+            axes.quiver(*xy[here].T, *residual[here].T, color=colour, angles="xy", scale_units="xy", scale=1 / scale,
+                        width=0.006)
+            axes.plot(*xy[here].T, ".", color=colour, markersize=3)
+    return Figure(title=f"The worst views, residuals drawn ×{number(scale, 2)}", png=png(made), wide=True,
+                  reading=sentence("dots: corners found, arrows: measured minus projected, orange: left out",
+                                   "arrows in swirls: a bent board or blur; at random: noise; a few long ones: something "
+                                   "covers the board"))
 
 
 def residuals(measurement: Measurement) -> Figure | None:

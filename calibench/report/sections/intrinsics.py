@@ -25,7 +25,7 @@ def render(story: Story) -> Section | None:
     lens = measurement.intrinsics
     others = [q for q in measurement.quantities if q.name not in lens.parameter_names]
     figures = [*_lens.distortion(lens), _views.board_poses(measurement), _coverage(measurement), _residuals(measurement),
-               _views.residuals(measurement), _lens.uncertainty(lens)]
+               _views.residuals(measurement), _views.worst(measurement), _lens.uncertainty(lens)]
     tables = (_parameters(lens, measurement), quantity_table("How well the lens fits", others), _held_out(lens, measurement),
               _views.listing(measurement))
     return Section(paragraphs=(_summary(lens, measurement),), warnings=measurement.warnings,
@@ -55,22 +55,23 @@ def _parameters(lens: Intrinsics, measurement: Measurement) -> Table:
 
 
 def _held_out(lens: Intrinsics, measurement: Measurement) -> Table | None:
-    """Training rms of the lens against the held-out rms of each model; None where no views were held out."""
+    """Training rms against the held-out rms of each model; None where no views were held out."""
     given = {q.name: q.value for q in measurement.quantities}
-    training, held_out = given.get("rms_px"), given.get("held_out_rms_px")
+    training, held_out, left_out = (given.get(n) for n in ("rms_px", "held_out_rms_px", "leave_one_out_rms_px"))
     by_model = measurement.evidence.get("held_out_rms_by_model_px")
     if by_model is None or not training or not held_out:
         return None
-    all_px = {**dict(zip(CANDIDATE_MODELS, by_model, strict=True)), lens.model: held_out}
-    rows = tuple((f"{model} (used)" if model == lens.model else model, number(training) if model == lens.model else MISSING,
-                  number(rms), number(rms / held_out)) for model, rms in all_px.items())
-    columns = ("Model", "Training rms (px)", "Held-out rms (px)", "Held-out / the used model's")
-    ratio = held_out / training
+    trained = measurement.evidence.get("training_rms_by_model_px", np.full(len(by_model), np.nan))
+    all_px = {**dict(zip(CANDIDATE_MODELS, zip(trained, by_model, strict=True), strict=True)), lens.model: (training, held_out)}
+    rows = tuple((f"{model} (used)" if model == lens.model else model, number(fitted), number(unseen), number(unseen / fitted),
+                  number(unseen / held_out)) for model, (fitted, unseen) in all_px.items())
+    columns = ("Model", "Training rms (px)", "Held-out rms (px)", "Held-out / training", "Held-out / the used model's")
     return Table(title="Training against held-out views", columns=columns, rows=rows, numbers=frozenset(columns[1:]),
-                 note=sentence(f"corners of views that the lens has not seen are missed by {number(ratio, 3)} times the "
-                               f"training rms of {lens.model}",
+                 note=sentence("corners of views that the lens has not seen are missed by "
+                               f"{number(held_out / training, 3)} times the training rms of {lens.model}",
                                "each half of the views is held out in turn, only its poses are fitted",
-                               f"{MISSING}: not kept for models that were not used, or not determined by half of the views"))
+                               f"with one view at a time held out: {number(left_out, 3)} px" if left_out else "",
+                               f"{MISSING}: not determined by half of the views"))
 
 
 def _coverage(measurement: Measurement) -> Figure | None:
