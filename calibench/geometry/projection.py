@@ -1,7 +1,7 @@
 """Projection: directions in camera axes <-> raw (distorted) pixels, with Jacobians.
 
 A lens model bends a direction (X, Y, Z) into x', y' (`_rational`, `_fisheye`: one file a family, told apart here), and then
-    column = fx x' + cx, row = fy y' + cy          (a mirrored camera flips X first)
+    column = fx x' + skew y' + cx, row = fy y' + cy          (a mirrored camera flips X first)
 
 Beyond the angle where x' turns back (the lens model folds) two directions would share a pixel: there nothing is visible.
 """
@@ -26,6 +26,13 @@ def fold_radius(intrinsics: Intrinsics) -> float:
     return _family(intrinsics).fold_radius(tuple(intrinsics.distortion.tolist()))
 
 
+def fold_angle(intrinsics: Intrinsics) -> float:
+    """Angle from the axis, rad, up to which the lens does not fold (pi at most, for a fisheye)."""
+    if intrinsics.is_fisheye:
+        return _fisheye.fold_angle(tuple(intrinsics.distortion.tolist()))
+    return float(np.arctan(fold_radius(intrinsics)))
+
+
 def bend(intrinsics: Intrinsics, x: np.ndarray, y: np.ndarray, z: np.ndarray, *, jacobian: bool,
          past_fold: bool = False) -> tuple:
     """Components X, Y, Z of directions, arrays of any one shape, into image coordinates in units of the focal length.
@@ -47,7 +54,12 @@ def bend(intrinsics: Intrinsics, x: np.ndarray, y: np.ndarray, z: np.ndarray, *,
 def project(intrinsics: Intrinsics, v_cam: np.ndarray) -> np.ndarray:
     """Directions (N, 3) in camera axes -> (N, 2) raw pixels; NaN where not visible: behind the camera, beyond the fold."""
     (xd, yd), _, _ = bend(intrinsics, *np.asarray(v_cam, float).T, jacobian=False)
-    return np.stack([intrinsics.fx_px * xd + intrinsics.cx_px, intrinsics.fy_px * yd + intrinsics.cy_px], -1)
+    return np.stack([xd, yd], -1) @ _focal(intrinsics).T + (intrinsics.cx_px, intrinsics.cy_px)
+
+
+def _focal(intrinsics: Intrinsics) -> np.ndarray:
+    """(2, 2) pixels by x', y'."""
+    return intrinsics.camera_matrix[:2, :2]
 
 
 def project_with_jacobian(intrinsics: Intrinsics, v_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -57,12 +69,13 @@ def project_with_jacobian(intrinsics: Intrinsics, v_cam: np.ndarray) -> tuple[np
         xy_px (N, 2), d_xy_d_v (N, 2, 3), d_xy_d_parameters (N, 2, P) in the order of `intrinsics.parameter_names`.
     """
     (xd, yd), by_v, by_terms = bend(intrinsics, *np.asarray(v_cam, float).T, jacobian=True)
-    focal = np.array([intrinsics.fx_px, intrinsics.fy_px])
-    xy = focal * np.stack([xd, yd], -1) + (intrinsics.cx_px, intrinsics.cy_px)
+    focal = _focal(intrinsics)
+    xy = np.stack([xd, yd], -1) @ focal.T + (intrinsics.cx_px, intrinsics.cy_px)
     o, one = np.zeros_like(xd), np.ones_like(xd)
     camera = [np.stack(pair, -1) for pair in ((xd, o), (o, yd), (one, o), (o, one))]
-    terms = [np.stack(pair, -1) * focal for pair in by_terms]
-    return xy, np.stack([np.stack(row, -1) for row in by_v], -2) * focal[:, None], np.stack(camera + terms, -1)
+    terms = [np.stack(pair, -1) @ focal.T for pair in by_terms]
+    skew = [] if intrinsics.skew_px is None else [np.stack((yd, o), -1)]
+    return xy, focal @ np.stack([np.stack(row, -1) for row in by_v], -2), np.stack(camera + terms + skew, -1)
 
 
 def unproject(intrinsics: Intrinsics, xy_px: np.ndarray) -> np.ndarray:
@@ -72,8 +85,9 @@ def unproject(intrinsics: Intrinsics, xy_px: np.ndarray) -> np.ndarray:
         BadInput: a pixel lies where the lens model folds and has no direction.
     """
     xy = np.asarray(xy_px, float)
-    v, bad = _family(intrinsics).straighten(intrinsics.distortion, (xy[:, 0] - intrinsics.cx_px) / intrinsics.fx_px,
-                                            (xy[:, 1] - intrinsics.cy_px) / intrinsics.fy_px)
+    yd = (xy[:, 1] - intrinsics.cy_px) / intrinsics.fy_px
+    xd = (xy[:, 0] - intrinsics.cx_px - (intrinsics.skew_px or 0.0) * yd) / intrinsics.fx_px
+    v, bad = _family(intrinsics).straighten(intrinsics.distortion, xd, yd)
     if bad.any():
         i = int(np.flatnonzero(bad)[0])
         raise BadInput(f"the lens model ({intrinsics.model}) cannot be inverted at pixel ({xy[i, 0]:.1f}, {xy[i, 1]:.1f}): "
@@ -88,6 +102,6 @@ def unproject_with_jacobian(intrinsics: Intrinsics, xy_px: np.ndarray) -> tuple[
     """As `unproject`, with d_v_d_xy (N, 3, 2), rad per px."""
     v = unproject(intrinsics, xy_px)
     _, by_v, _ = bend(intrinsics, *v.T, jacobian=True)
-    forward = np.stack([np.stack(row, -1) for row in by_v], -2) * np.array([[intrinsics.fx_px], [intrinsics.fy_px]])
+    forward = _focal(intrinsics) @ np.stack([np.stack(row, -1) for row in by_v], -2)
     back = np.swapaxes(forward, 1, 2)  # (N, 2, 3) with forward @ v = 0: its pseudo-inverse stays in the tangent plane
     return v, back @ np.linalg.inv(forward @ back)

@@ -18,7 +18,7 @@ from .. import registry
 from ..errors import BadInput
 from ..geometry import projection, rotation
 from ..records import Attitude, Identification
-from .verify import CALIBRATED_MODEL_SD_PX, GUESSED_MODEL_SD_PX
+from .view import CALIBRATED_MODEL_SD_PX, GUESSED_MODEL_SD_PX
 
 OUTLIER_SIGMA = 5.0
 FEWEST_STARS = 4

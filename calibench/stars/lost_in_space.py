@@ -1,29 +1,30 @@
 """LostInSpace: which stars are on a frame, with no prior knowledge of where it looks.
 
 1. Believe something about the lens (the map's, or a ladder of fields), which gives a View.
-2. The named identifier proposes correspondences; `hypotheses` weeds them; the best supported are verified.
+2. The named identifier proposes correspondences; verify.py weeds them and judges the rest against all stars in view.
 3. The first with a false-match probability below ACCEPT is the answer; else the best candidate and its odds are the reason.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
 from .. import registry
-from ..records import DISTORTION_NAMES, Identification, Intrinsics, Spots
-from .hypotheses import fit_hypotheses, supported
+from ..records import DISTORTION_NAMES, Identification, Intrinsics, Observer, Spots
+from .refine import refine
 from .sky_catalogue import SkyCatalogue
-from .verify import Match, verify
-from .view import View, calibrated_view, focal_from_fov, guessed_view
+from .verify import ACCEPT, Match, Verifier
+from .view import GUESSED_MODEL_SD_PX, KnownLens, View, focal_from_fov, guessed_view
 
-ACCEPT = 1e-6  # false-match probability below which a match is believed
 DOUBTFUL = 1e-2  # below this, but not below ACCEPT: a candidate was found and rejected
 FEWEST_SPOTS = 4
-MOST_VERIFIED = 40  # hypotheses of one view that are verified in full
 GIVEN_FOV_SLACK = 0.12  # a field given by hand is believed to this fraction
 FOV_RANGE_RAD = (np.radians(5.0), np.radians(60.0))
 # Along a ladder of unknown fields, neighbours differ by what an ideal lens bends between centre and edge: tan^2 of the half
@@ -62,11 +63,22 @@ def flipped(lens: Intrinsics) -> Intrinsics:
 
 @dataclass
 class LostInSpace:
-    """An identifier with its tables for one sky; keeps the tables it has built."""
+    """An identifier with its tables for one sky; keeps the tables it has built and the lenses it has seen.
+
+    keep: where tables outlive the run, given by whoever may touch the disk: keep(name, Table, build) gives the table of that
+    name, built anew where it is not found. Without it tables live as long as this object.
+    """
 
     sky: SkyCatalogue
     method: str = "pattern"
     tables: dict = field(default_factory=dict)
+    keep: Callable[[str, type[NamedTuple], Callable[[], NamedTuple]], NamedTuple] | None = None
+    _lenses: dict[int, tuple[KnownLens, KnownLens]] = field(default_factory=dict)
+
+    @cached_property
+    def module(self) -> ModuleType:
+        """The identifier (UsageError: no such method)."""
+        return registry.load("calibench.stars.identify", self.method)
 
     def identify(self, spots: Spots, image_size_px: tuple[int, int], *, lens: Intrinsics | None = None,
                  fov_rad: float | None = None, familiar: Intrinsics | None = None) -> Identification:
@@ -79,24 +91,45 @@ class LostInSpace:
         Raises:
             UsageError: unknown method, or one that needs a lens or field and has none.
         """
-        module = registry.load("calibench.stars.identify", self.method)
+        propose = self.module.propose
         if len(spots) < FEWEST_SPOTS:
             return Identification(status="too_few_spots", method=self.method,
                                   reason=f"{len(spots)} spots found, at least {FEWEST_SPOTS} are needed")
-        best, tried = None, 0
+        verifier = Verifier(sky=self.sky, spots=spots)
         for view in self._views(spots, image_size_px, lens, fov_rad, familiar):
-            match, tried = self._search(module, view, spots, tried)
-            if match and (best is None or match.false_match_probability < best.false_match_probability):
-                best = match
-            if best and best.false_match_probability < ACCEPT:
-                return self._solved(best, spots)
-        return self._why_not(best, tried, spots, lens is not None, fov_rad)
+            verifier.grown = 0
+            for spot_rows, star_rows in propose(view, self.sky, self.table(self.module.table_key(view))):
+                if verifier.judge(view, spot_rows, star_rows):
+                    break
+            if verifier.done:
+                return self._solved(verifier.best, spots, calibrated=lens is not None)
+        return self._why_not(verifier, spots, lens is not None, fov_rad)
+
+    def table(self, key: object) -> NamedTuple:
+        """The identifier's table of that key."""
+        if (self.method, key) not in self.tables:
+            def build() -> NamedTuple:
+                # Of the sky at rest, so that a kept table does not depend on the day it was built.
+                return self.module.build(SkyCatalogue.seen_by(self.sky.table, Observer()), key)
+            name = f"{self.method}-{_digest(self.sky, key)}"
+            self.tables[self.method, key] = self.keep(name, self.module.Table, build) if self.keep else build()
+        return self.tables[self.method, key]
+
+    def _known(self, lens: Intrinsics) -> tuple[KnownLens, KnownLens]:
+        """The lens made ready, as it is and mirrored; kept for the frames that follow."""
+        kept = self._lenses.get(id(lens))
+        if kept is None or kept[0].intrinsics is not lens:
+            self._lenses.clear()
+            kept = self._lenses[id(lens)] = KnownLens(lens), KnownLens(flipped(lens))
+        return kept
 
     def _views(self, spots: Spots, size: tuple[int, int], lens: Intrinsics | None, fov_rad: float | None,
                familiar: Intrinsics | None) -> Iterator[View]:
         if lens is not None:
-            yield calibrated_view(spots, lens)
-            yield calibrated_view(spots, flipped(lens))  # the driver, or a wrong row order, may have mirrored the frame
+            known, mirrored = self._known(lens)
+            yield known.view(spots)
+            yield known.view(spots, drifted=True)
+            yield mirrored.view(spots, drifted=True)  # the driver, or a wrong row order, may have mirrored the frame
             return
         if familiar is not None:
             yield guessed_view(spots, size, familiar.fx_px, GIVEN_FOV_SLACK)
@@ -106,37 +139,19 @@ class LostInSpace:
             for focal_px, slack in fov_ladder(size):
                 yield guessed_view(spots, size, focal_px, slack)
 
-    def _search(self, module: ModuleType, view: View, spots: Spots, tried: int) -> tuple[Match | None, int]:
-        key = module.table_key(view)
-        if (self.method, key) not in self.tables:
-            self.tables[self.method, key] = module.build(self.sky, key)
-        best, verified = None, 0
-        for spot_rows, star_rows in module.propose(view, self.sky, self.tables[self.method, key]):
-            if not len(spot_rows):
-                continue
-            hypotheses = fit_hypotheses(view, self.sky, spot_rows, star_rows)
-            tried += len(hypotheses)
-            hypotheses = supported(view, self.sky, hypotheses)
-            for row in range(len(hypotheses)):
-                if verified >= MOST_VERIFIED:
-                    return best, tried
-                verified += 1
-                match = verify(view, spots.covariance_px2, self.sky, hypotheses.take(np.array([row])), tried)
-                if match and (best is None or match.false_match_probability < best.false_match_probability):
-                    best = match
-                if best and best.false_match_probability < ACCEPT:
-                    return best, tried
-        return best, tried
-
-    def _solved(self, match: Match, spots: Spots) -> Identification:
+    def _solved(self, match: Match, spots: Spots, *, calibrated: bool) -> Identification:
+        xy, covariance = spots.xy_px[match.spot_rows], spots.covariance_px2[match.spot_rows]
+        directions, lens = self.sky.directions[match.star_rows], match.intrinsics
+        if not calibrated:
+            lens = refine(lens, match.matrix, xy, covariance, directions, GUESSED_MODEL_SD_PX).intrinsics
         return Identification(status="solved", method=self.method, spot_rows=match.spot_rows, star_rows=match.star_rows,
-                              xy_px=spots.xy_px[match.spot_rows], covariance_px2=spots.covariance_px2[match.spot_rows],
-                              direction_icrs=self.sky.directions[match.star_rows],
-                              false_match_probability=match.false_match_probability, intrinsics=match.refined.intrinsics)
+                              xy_px=xy, covariance_px2=covariance, direction_icrs=directions, intrinsics=lens,
+                              false_match_probability=match.false_match_probability)
 
-    def _why_not(self, best: Match | None, tried: int, spots: Spots, calibrated: bool, fov_rad: float | None) -> Identification:
+    def _why_not(self, verifier: Verifier, spots: Spots, calibrated: bool, fov_rad: float | None) -> Identification:
         suspect = ("the map's lens may not be this camera's" if calibrated else
                    "the field given may be wrong" if fov_rad is not None else "field between 5 and 60 degrees was tried")
+        best, tried = verifier.best, verifier.tried
         if best is None:
             return Identification(status="no_match", method=self.method,
                                   reason=f"none of {tried} patterns within tolerance was borne out by the other spots "
@@ -146,3 +161,13 @@ class LostInSpace:
                   f"with probability {odds:.2g}, above the limit {ACCEPT:g}; {suspect}")
         return Identification(status="rejected" if odds < DOUBTFUL else "no_match", method=self.method, reason=reason,
                               false_match_probability=odds)
+
+
+def _digest(sky: SkyCatalogue, key: object) -> str:
+    """What a table depends on besides the code that builds it: the stars and the key, in 16 hexadecimal digits."""
+    table = sky.table
+    stars = (table.hip, table.ra_rad, table.dec_rad, table.pm_ra_mas_yr, table.pm_dec_mas_yr, table.parallax_mas, table.hp_mag)
+    digest = hashlib.sha256(repr((key, table.epoch_jyear)).encode())
+    for column in stars:
+        digest.update(np.ascontiguousarray(column).tobytes())
+    return digest.hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""Joint fit of attitude and, where no map gave one, lens to matched stars: Gauss-Newton in pixels."""
+"""Joint fit of attitude and lens to matched stars, where no map gave the lens: Gauss-Newton in pixels, with covariance."""
 
 from __future__ import annotations
 
@@ -8,11 +8,7 @@ import numpy as np
 
 from ..geometry import projection, rotation
 from ..records import Intrinsics
-
-STEPS = 6
-HUBER_SIGMA = 2.5
-K1_FROM, K2_FROM = 8, 16  # matches needed before a distortion term is fitted
-K_PRIOR_SD = 0.5  # keeps terms that a narrow field cannot see near zero
+from .guess.kernels import FIT_STEPS, HUBER_SIGMA, K1_FROM, K2_FROM, K_PRIOR_SD
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,23 +26,21 @@ def _lens_columns(free: int) -> list[list[int]]:
     return [[0, 1], [4], [5]][:free]
 
 
-def refine(lens: Intrinsics, start: np.ndarray, xy_px: np.ndarray, covariance_px2: np.ndarray, directions: np.ndarray, *,
-           free_lens: bool, model_sd_px: float) -> Refined:
-    """Fit to matched spots (M, 2) with covariance (M, 2, 2) and star directions (M, 3).
+def refine(lens: Intrinsics, start: np.ndarray, xy_px: np.ndarray, covariance_px2: np.ndarray, directions: np.ndarray,
+           model_sd_px: float) -> Refined:
+    """Fit to matched spots (M, 2) with covariance (M, 2, 2) and star directions (M, 3), from a brown4 lens and a rotation.
 
-    free_lens: fit focal length, then k1 and k2 as the number of matches allows. model_sd_px: what the lens model itself
-    may be off, added to every spot.
+    Focal length, and k1 and k2 as the number of matches allows, are free. model_sd_px: what the lens model itself may be off,
+    added to every spot.
     """
     m = len(xy_px)
-    free = (1 + (m >= K1_FROM) + (m >= K2_FROM)) if free_lens else 0
-    if free_lens and lens.model == "pinhole":
-        lens = replace(lens, model="brown4", distortion=np.zeros(4), covariance=np.full((8, 8), np.inf))
+    free = 1 + (m >= K1_FROM) + (m >= K2_FROM)
     matrix = start
     weight = np.linalg.inv(covariance_px2 + np.eye(2) * model_sd_px**2)
     columns = _lens_columns(free)
     prior = np.zeros(3 + free)
     prior[4:] = 1 / K_PRIOR_SD**2
-    for _ in range(STEPS):
+    for _ in range(FIT_STEPS):
         v = directions @ matrix.T
         xy, by_v, by_p = projection.project_with_jacobian(lens, v)
         residual = xy_px - xy
@@ -58,19 +52,15 @@ def refine(lens: Intrinsics, start: np.ndarray, xy_px: np.ndarray, covariance_px
         transposed = np.swapaxes(jacobian, 1, 2) @ robust
         normal = (transposed @ jacobian).sum(0) + np.diag(prior)
         gradient = (transposed @ residual[..., None]).sum(0)[:, 0]
-        terms = np.array([lens.fx_px, *lens.distortion[:2]])[:free] if free else np.zeros(0)
+        terms = np.array([lens.fx_px, *lens.distortion[:2]])[:free]
         gradient[4:] -= prior[4:] * terms[1:]
         step = np.linalg.solve(normal, gradient)
         matrix = rotation.matrix_from_rotvec(step[:3]) @ matrix
-        if free:
-            terms = terms + step[3:]
-            aspect = lens.fy_px / lens.fx_px
-            focal = max(terms[0], 0.1 * lens.fx_px)
-            lens = replace(lens, fx_px=focal, fy_px=focal * aspect,
-                           distortion=np.concatenate([terms[1:], lens.distortion[free - 1:]]))
+        terms = terms + step[3:]
+        focal = max(terms[0], 0.1 * lens.fx_px)
+        lens = replace(lens, fx_px=focal, fy_px=focal, distortion=np.concatenate([terms[1:], lens.distortion[free - 1:]]))
     covariance = np.linalg.inv(normal)
-    if free:
-        lens = replace(lens, covariance=_lens_covariance(lens, covariance[3:, 3:]))
+    lens = replace(lens, covariance=_lens_covariance(lens, covariance[3:, 3:]))
     return Refined(rotation=rotation.nearest_rotation(matrix), intrinsics=lens, covariance=covariance,
                    residual_px=np.where(seen[:, None], xy_px - projection.project(lens, directions @ matrix.T), np.nan))
 

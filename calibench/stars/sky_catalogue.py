@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -10,6 +12,7 @@ from scipy.spatial import cKDTree
 from ..geometry import sphere
 from ..records import Observer, StarTable
 
+GRID_CELLS = 50  # along each axis of the cube about the sphere: cells of 2.3 degrees
 MAS_RAD = np.pi / 180 / 3600 / 1000
 
 
@@ -27,6 +30,25 @@ def star_directions(table: StarTable, observer: Observer) -> np.ndarray:
     shift = -np.maximum(table.parallax_mas, 0)[:, None].astype(float) * MAS_RAD * observer.position_au
     moved = at + motion + shift
     return sphere.as_seen(moved / np.linalg.norm(moved, axis=1, keepdims=True), observer)
+
+
+class StarGrid(NamedTuple):
+    """directions (N, 3), brightest first; rows (N,) of the stars sorted by cell of a cube of cells^3 about the sphere, start
+    (cells^3 + 1,) of each cell's rows, which ascend."""
+
+    directions: np.ndarray
+    rows: np.ndarray
+    start: np.ndarray
+    cells: int
+
+    @classmethod
+    def of(cls, directions: np.ndarray) -> StarGrid:
+        index = np.minimum(((directions + 1) * (GRID_CELLS / 2)).astype(np.int64), GRID_CELLS - 1)
+        cell = index @ np.array([GRID_CELLS**2, GRID_CELLS, 1])
+        rows = np.argsort(cell, kind="stable")
+        start = np.searchsorted(cell[rows], np.arange(GRID_CELLS**3 + 1))
+        return cls(directions=np.ascontiguousarray(directions), rows=rows.astype(np.int32), start=start.astype(np.int32),
+                   cells=GRID_CELLS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +69,11 @@ class SkyCatalogue:
             table, directions = table.take(order), directions[order]
         return cls(table=table, observer=observer, directions=directions, magnitude=table.hp_mag.astype(float),
                    tree=cKDTree(directions))
+
+    @cached_property
+    def grid(self) -> StarGrid:
+        """The stars by cells, for compiled loops."""
+        return StarGrid.of(self.directions)
 
     def near(self, direction: np.ndarray, radius_rad: float) -> np.ndarray:
         """Rows of the stars within radius_rad of a direction (3,), brightest first."""

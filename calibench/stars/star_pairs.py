@@ -5,10 +5,9 @@ Both orders of a pair are kept, so that a join over a common star needs no cases
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from .circles import brightest_groups
 from .sky_catalogue import SkyCatalogue
@@ -16,15 +15,12 @@ from .sky_catalogue import SkyCatalogue
 STARS_PER_CIRCLE = 24  # the circle about a 4:3 frame: the frame itself holds some 14 of them
 
 
-@dataclass(frozen=True, kw_only=True)
-class StarPairs:
-    """angle_rad (P,) ascending; first, second (P,) star rows; stars (K,) the rows that occur, tree over their directions."""
+class StarPairs(NamedTuple):
+    """angle_rad (P,) ascending; first, second (P,) star rows."""
 
     angle_rad: np.ndarray
     first: np.ndarray
     second: np.ndarray
-    stars: np.ndarray
-    tree: cKDTree
 
     @classmethod
     def build(cls, sky: SkyCatalogue, half_diagonal_rad: float) -> StarPairs:
@@ -33,8 +29,7 @@ class StarPairs:
         a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
         angle = 2 * np.arcsin(np.linalg.norm(sky.directions[a] - sky.directions[b], axis=1) / 2)
         order = np.argsort(angle, kind="stable")
-        stars = np.unique(pairs)
-        return cls(angle_rad=angle[order], first=a[order], second=b[order], stars=stars, tree=cKDTree(sky.directions[stars]))
+        return cls(angle_rad=angle[order], first=a[order], second=b[order])
 
     def between(self, low_rad: float, high_rad: float) -> tuple[np.ndarray, np.ndarray]:
         """(first, second) star rows of all pairs whose angle lies in [low, high], both orders."""

@@ -19,7 +19,7 @@ CONTRACTS: dict[str, dict[str, tuple[str, ...] | type]] = {
     "calibench.spots.detect": {"detect": ("signal_dn", "noise_dn", "unusable", "k_sigma")},
     "calibench.spots.centroid": {"centroid": ("scene", "candidates")},
     "calibench.stars.identify": {"table_key": ("view",), "build": ("sky", "key"),
-                                  "propose": ("view", "sky", "table"), "NEEDS_SCALE": bool},
+                                  "propose": ("view", "sky", "table"), "NEEDS_SCALE": bool, "Table": type},
     "calibench.stars.attitude": {"attitude": ("camera", "sky", "weights"), "effective_weights": ("camera", "weights")},
     "calibench.validate.trials": {"trial": ("cases", "calmap")},
     "calibench.io.readers": {"read": ("raw", "file", "sidecar")},

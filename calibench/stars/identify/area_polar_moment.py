@@ -13,8 +13,8 @@ For a triangle of unit vectors with sides a = |V1 - V2|, b = |V2 - V3|, c = |V3 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,7 @@ STARS_PER_CIRCLE = 13  # the circle about a 4:3 frame: the frame itself holds so
 MOST_PROPOSALS = 200_000
 
 
-@dataclass(frozen=True, kw_only=True)
-class TriangleTable:
+class Table(NamedTuple):
     """rows (T, 3) star rows; area (T,) ascending; moment (T,)."""
 
     rows: np.ndarray
@@ -50,7 +49,7 @@ def triangle_sides(corners: np.ndarray) -> np.ndarray:
     return np.linalg.norm(corners - np.roll(corners, -1, axis=-2), axis=-1)
 
 
-def build(sky: SkyCatalogue, key: float) -> TriangleTable:
+def build(sky: SkyCatalogue, key: float) -> Table:
     """Triangles of the brightest stars of every circle the size of the field, no wider than its diagonal."""
     half = min(key, np.pi / 2)
     triangles = brightest_groups(sky, half, STARS_PER_CIRCLE, 3)
@@ -58,7 +57,7 @@ def build(sky: SkyCatalogue, key: float) -> TriangleTable:
     keep = sides.max(1) < 2 * np.sin(half)
     area, moment = area_and_moment(sides[keep])
     order = np.argsort(area)
-    return TriangleTable(rows=triangles[keep][order], area=area[order], moment=moment[order])
+    return Table(rows=triangles[keep][order], area=area[order], moment=moment[order])
 
 
 def tolerances(sides: np.ndarray, side_error: np.ndarray) -> tuple[float, float]:
@@ -69,7 +68,7 @@ def tolerances(sides: np.ndarray, side_error: np.ndarray) -> tuple[float, float]
     return tuple(np.sqrt(((slopes * side_error[:, None]) ** 2).sum(0)))
 
 
-def propose(view: View, sky: SkyCatalogue, table: TriangleTable) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def propose(view: View, sky: SkyCatalogue, table: Table) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Correspondences (B, 3) spot rows, (B, 3) star rows."""
     n = min(TRIANGLE_SPOTS, len(view.directions))
     for triple in sorted(combinations(range(n), 3), key=sum):

@@ -14,11 +14,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...geometry import sphere
+from .. import kernels
 from ..sky_catalogue import SkyCatalogue
 from ..star_pairs import StarPairs
-from ..view import TOLERANCE_SIGMA, View, field_key
+from ..view import View, field_key, side_tolerance
 
 NEEDS_SCALE = True
+Table = StarPairs
 table_key = field_key
 TRIANGLE_SPOTS = 10
 MOST_TRIANGLES = 20_000  # per triple: beyond it the triple says too little
@@ -32,12 +34,6 @@ def build(sky: SkyCatalogue, key: float) -> StarPairs:
 def mortari_order(n: int) -> list[tuple[int, int, int]]:
     """Triples (i, i + dj, i + dj + dk), small steps last to change: a bad spot is left behind early."""
     return [(i, i + dj, i + dj + dk) for dj in range(1, n - 1) for dk in range(1, n - dj) for i in range(n - dj - dk)]
-
-
-def side_tolerance(view: View, i: int, j: int, angle: float) -> float:
-    """How far, rad, the angle between spots i and j may be from the catalogue's."""
-    noise = np.hypot(view.sigma_rad[i], view.sigma_rad[j])
-    return TOLERANCE_SIGMA * noise + (view.scale_slack + view.ratio_error) * angle
 
 
 def triangles(view: View, sky: SkyCatalogue, pairs: StarPairs, triple: tuple[int, int, int]) -> np.ndarray:
@@ -68,25 +64,24 @@ def propose(view: View, sky: SkyCatalogue, table: StarPairs) -> Iterator[tuple[n
         found = triangles(view, sky, table, triple)
         others = [d for d in range(n) if d not in triple]
         if len(found) and others:
-            spot_rows, star_rows = zip(*(_confirm(view, sky, table, triple, found, d) for d in others), strict=True)
+            spot_rows, star_rows = zip(*(_confirm(view, sky, triple, found, d) for d in others), strict=True)
             yield np.concatenate(spot_rows), np.concatenate(star_rows)
 
 
-def _confirm(view: View, sky: SkyCatalogue, pairs: StarPairs, triple: tuple[int, int, int], found: np.ndarray,
+def _confirm(view: View, sky: SkyCatalogue, triple: tuple[int, int, int], found: np.ndarray,
              d: int) -> tuple[np.ndarray, np.ndarray]:
     """Triangles that have a star at the fourth spot's three angles: (B, 4) spot rows, (B, 4) star rows."""
     v = view.directions
     angle = np.array([np.arccos(np.clip(v[i] @ v[d], -1, 1)) for i in triple])
-    slack = np.array([side_tolerance(view, i, d, t) for i, t in zip(triple, angle, strict=True)])
+    slack = side_tolerance(view, np.array(triple), d, angle)
     # d's direction from the three corners: solve the 3x3 system u . star_i = cos(angle_i) for each triangle
     corners = sky.directions[found]
     solvable = np.abs(np.linalg.det(corners)) > 1e-9
     found, corners = found[solvable], corners[solvable]
     there = np.linalg.solve(corners, np.broadcast_to(np.cos(angle), (len(found), 3))[..., None])[..., 0]
     there /= np.maximum(np.linalg.norm(there, axis=1, keepdims=True), 1e-12)
-    distance, nearest = pairs.tree.query(there, distance_upper_bound=float(10 * slack.max()))
-    has = np.isfinite(distance)
-    found, star = found[has], pairs.stars[nearest[has]]
+    star = kernels.stars_near(sky.grid, there, float(10 * slack.max()))
+    found, star = found[star >= 0], star[star >= 0]
     seen = 2 * np.arcsin(np.clip(np.linalg.norm(sky.directions[found] - sky.directions[star][:, None], axis=-1) / 2, 0, 1))
     fits = (np.abs(seen - angle) < slack).all(1) & (found != star[:, None]).all(1)
     star_rows = np.concatenate([found[fits], star[fits][:, None]], 1)

@@ -1,0 +1,1 @@
+"""Hypotheses and their verification where the lens is not known: scale, handedness and distortion are found with the stars."""

@@ -1,0 +1,69 @@
+"""Triangles of the brightest stars of every circle of a field's size, found again by their three sides.
+
+With a known lens three angles are enough: among some 1e5 triangles of the sky, hardly one has the sides of another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from itertools import combinations
+
+import numpy as np
+
+from ..circles import brightest_groups, unique_rows
+from ..code_table import CodeTable
+from ..sky_catalogue import SkyCatalogue
+from ..view import View
+from . import kernels
+
+# Circles in parts of the half diagonal, and the stars taken of each. The large one gives long triangles; the small one reaches
+# the corner of a frame that looks past a bright cluster.
+CIRCLES = ((1.0, 9), (0.6, 9))
+KEY_STEP = 0.05  # of the half diagonal: like cameras share one table
+CELL = 1 / 250  # of the half diagonal: some pixels
+ABERRATION = 1e-4  # a table is of the sky at rest; the Earth's motion changes an angle by this part of it at most
+BATCHES = (5, 7, 10, 14, 20, 27)  # triples of the brightest spots first
+
+
+def sides(corners: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) unit vectors -> (..., 3) angles, rad, each opposite the corner of its place."""
+    chord = np.linalg.norm(np.roll(corners, -1, -2) - np.roll(corners, -2, -2), axis=-1)
+    return 2 * np.arcsin(np.clip(chord / 2, 0, 1))
+
+
+def table_key(view: View) -> tuple[float]:
+    """Half diagonal, rad, in steps of KEY_STEP, rounded up."""
+    step = np.log(1 + KEY_STEP)
+    return (float(np.exp(np.ceil(np.log(min(view.half_diagonal_rad, np.pi / 2)) / step) * step)),)
+
+
+def build(sky: SkyCatalogue, sizes: tuple[float]) -> CodeTable:
+    """Codes: the three sides, ascending; rows: corners in the order of the sides opposite them."""
+    half = min(sizes[0], np.pi / 2)
+    groups = [brightest_groups(sky, part * half, stars, 3) for part, stars in CIRCLES]
+    groups = unique_rows(np.concatenate(groups), len(sky.directions))
+    length = sides(sky.directions[groups])
+    order = np.argsort(length, axis=1)
+    length, groups = np.take_along_axis(length, order, 1), np.take_along_axis(groups, order, 1)
+    fits = length[:, 2] < 2 * half
+    return CodeTable.of(length[fits], groups[fits], np.full(3, CELL * half))
+
+
+@lru_cache(maxsize=64)
+def triples(done: int, last: int) -> np.ndarray:
+    """(T, 3) rows of all triples among the first `last` spots that are not among the first `done`."""
+    return np.array([t for t in combinations(range(last), 3) if t[2] >= done], np.int64).reshape(-1, 3)
+
+
+def propose(view: View, sky: SkyCatalogue, table: CodeTable) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Correspondences (B, 3) spot rows, (B, 3) star rows, in batches, the brightest spots' first."""
+    done = 0
+    for last in BATCHES:
+        last = min(last, len(view.directions))
+        if last > done:
+            codes, tolerance, corners = kernels.triangle_questions(view.directions, view.sigma_rad,
+                                                                   view.scale_slack + ABERRATION, triples(done, last))
+            owner, entry = table.near(codes, tolerance)
+            yield corners[owner], table.rows[entry]
+        done = last
