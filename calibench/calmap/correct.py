@@ -1,12 +1,12 @@
 """The map applied to a frame: offset and dark removed, response divided out, variance and defects beside it.
 
     charge   = linearised (data - offset)                                                               [DN]
-    signal   = (charge - dark rate * exposure) / response                                               [DN]
+    signal   = (charge - dark rate * exposure * warming) / response                                     [DN]
     variance = (slope^2 max(read noise^2, 1/12) + gain * max(charge, 0)) / response^2                   [DN^2]
 
 This is the linear camera model of EMVA 1288 (release 4.0 Linear, section 2): shot noise of `gain` DN/e- on all charge
-collected, light and dark alike; slope: of the linearity curve (1 without one). The illumination layer is not divided out: it
-belongs to lens and lamp, not to a star.
+collected, light and dark alike; slope: of the linearity curve (1 without one); warming: Arrhenius law from the temperature of
+the darks to the frame's (1 without one). The illumination layer is not divided out: it belongs to lens and lamp, not to a star.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from ..errors import BadInput
 from ..records import DEFECT_FLAGS, UNUSABLE, CalibrationMap, CorrectedFrame, Frame
 from .conditions import outside_conditions, unchecked_conditions
+from .dark_signal import dark_seconds, without_harmless
 from .linearise import linearise
 
 __all__ = ["correct", "interpolate_defects", "outside_conditions", "require_size", "unchecked_conditions"]
@@ -44,8 +45,9 @@ def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
     estimate it from the sky. The read noise layer is the temporal scatter of raw frames, so quantisation is in it and
     1/12 DN^2 is only its floor. Where the gain is unknown, shot noise is missing: the variance holds for a dark sky.
 
-    defects: the map's flags, `saturated` at and above min(white level, measured saturation), `dead` where the response
-    is not positive; there the response is taken as 1, so that the signal stays finite.
+    defects: the map's flags, hot pixels that do no harm in this frame being warm (`without_harmless`), `saturated` at and
+    above min(white level, measured saturation), `dead` where the response is not positive; there the response is taken as 1, so
+    that the signal stays finite.
     A frame without an exposure keeps its dark charge (only the offset is removed) and the warnings say so.
 
     Raises:
@@ -56,11 +58,13 @@ def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
 
     charge_dn, slope = linearise(frame.data.astype(np.float32) - calmap.offset_dn, calmap)
     signal_dn = charge_dn
+    defects = calmap.defects
     if "dark_rate_dn_per_s" in calmap.measured:
-        if frame.exposure_s is None:
-            warnings.append("the frame states no exposure: only the offset was removed, its dark charge is still there")
-        else:
-            signal_dn = charge_dn - calmap.dark_rate_dn_per_s * np.float32(frame.exposure_s)
+        seconds, said = dark_seconds(frame, calmap)
+        warnings += said
+        if seconds is not None:
+            signal_dn = charge_dn - calmap.dark_rate_dn_per_s * np.float32(seconds)
+            defects = without_harmless(calmap, seconds)
 
     responds = calmap.response > 0
     response = np.where(responds, calmap.response, np.float32(1))
@@ -68,7 +72,7 @@ def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
     if frame.range_assumed and calmap.conditions.bit_depth is not None:
         white_dn = min(white_dn, 2.0**calmap.conditions.bit_depth - 1)
     saturated = frame.data >= min(white_dn, calmap.saturation_dn)
-    defects = calmap.defects | saturated * np.uint16(DEFECT_FLAGS["saturated"])
+    defects = defects | saturated * np.uint16(DEFECT_FLAGS["saturated"])
     defects |= ~responds * np.uint16(DEFECT_FLAGS["dead"])
 
     if "read_noise_dn" in calmap.measured:

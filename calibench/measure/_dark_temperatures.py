@@ -12,7 +12,6 @@ from ._ladder import Ladder
 from ._thermal import Activation, activation
 
 WITHOUT = "needs darks of two exposures or more at each of two temperatures"
-SAME_RATE_C = 0.5  # a frame within this of the reference needs no scaling: it changes the dark current by less than 5 %
 TOP_SHARE = 0.001  # the hottest pixels, whose own law is shown beside that of all
 
 

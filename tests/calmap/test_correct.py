@@ -84,11 +84,11 @@ def test_saturated_pixels_are_flagged_beside_the_map_s_own(white_level_dn, satur
     data = np.full((H, W), 100, np.uint16)
     data[0, :3] = first - 1, first, 4095
     defects = np.zeros((H, W), np.uint16)
-    defects[0, 2] = DEFECT_FLAGS["hot"]
+    defects[0, 2] = DEFECT_FLAGS["stuck"]
     calmap = camera_map(saturation_dn=saturation_dn, defects=defects)
     found = correct(frame_of(data, white_level_dn=white_level_dn), calmap).defects
     saturated = DEFECT_FLAGS["saturated"]
-    assert list(found[0, :4]) == [0, saturated, saturated | DEFECT_FLAGS["hot"], 0] and np.count_nonzero(found) == 2
+    assert list(found[0, :4]) == [0, saturated, saturated | DEFECT_FLAGS["stuck"], 0] and np.count_nonzero(found) == 2
 
 
 def test_a_response_of_zero_gives_a_dead_pixel_and_no_infinity():
