@@ -8,12 +8,38 @@ import numpy as np
 
 from .arrays import frozen, settle
 
+CENTRE_OF_MASS = "centre of mass of the light"
+
+
+@dataclass(frozen=True, kw_only=True)
+class HermiteShape:
+    """The PSF as a Gauss-Hermite series whose coefficients are polynomials over the field (formulas: spots/hermite).
+
+    order: of the core, whose Gaussian has scale_px. degree: over the field. coefficients (functions, terms): rows in the order of `spots.hermite.free_functions`, terms as in PsfMap.
+    radius_px: of the windows that were fitted; beyond it the series is a continuation. core_residual: rms misfit where the light
+    is, as a share of the peak. dither_coverage: share of the pixel (in 4 x 4 parts) in which some spot was centred.
+    """
+
+    order: int
+    degree: int
+    scale_px: float
+    coefficients: np.ndarray
+    radius_px: int
+    core_residual: float
+    dither_coverage: float
+
+    def __post_init__(self) -> None:
+        terms = (self.degree + 1) * (self.degree + 2) // 2
+        settle(self, coefficients=frozen(np.ascontiguousarray(self.coefficients, dtype=float),
+                                         name="HermiteShape.coefficients", shape=(None, terms)))
+
 
 @dataclass(frozen=True, kw_only=True)
 class PsfMap:
     """Coefficients of the PSF over the field.
 
     model: "gaussian": three rows, second moments (s_xx, s_yy, s_xy) in px^2 of the light before the pixel integrates it.
+    "gauss_hermite": these are the moments of the nearest Gaussian, and `hermite` holds the shape itself.
     coefficients: (rows, terms), polynomial in (u, v), the pixel position scaled to [-1, 1] over the image, terms ordered
     by total degree then by power of v: 1, u, v, u^2, uv, v^2, ...
     centre: what point of the spot a centroid through this map means.
@@ -27,6 +53,7 @@ class PsfMap:
     centre: str
     measured_xy_px: np.ndarray
     residual_rms_px2: float
+    hermite: HermiteShape | None = None
 
     def __post_init__(self) -> None:
         terms = (self.degree + 1) * (self.degree + 2) // 2

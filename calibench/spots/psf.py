@@ -1,25 +1,21 @@
-"""The PSF over the field: polynomial terms, and the Gaussian moments of a PsfMap at a place."""
+"""The PSF over the field as a PsfMap has it: Gaussian moments, and a point's image at a place."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..records import PsfMap
+from . import hermite
+from ._field import field_terms
+
+__all__ = ["FWHM_PER_SIGMA", "field_terms", "light", "moments_at"]
 
 FWHM_PER_SIGMA = 2 * np.sqrt(2 * np.log(2))
 SMALLEST_VARIANCE_PX2 = 0.01
 
 
-def field_terms(xy_px: np.ndarray, image_size_px: tuple[int, int], degree: int) -> np.ndarray:
-    """(N, 2) pixels -> (N, terms) monomials 1, u, v, u^2, uv, v^2, ... with u, v in [-1, 1] over the image."""
-    w, h = image_size_px
-    u = 2 * np.asarray(xy_px, float)[:, 0] / (w - 1) - 1
-    v = 2 * np.asarray(xy_px, float)[:, 1] / (h - 1) - 1
-    return np.stack([u ** (total - power) * v**power for total in range(degree + 1) for power in range(total + 1)], -1)
-
-
 def moments_at(psf: PsfMap, xy_px: np.ndarray) -> np.ndarray:
-    """Second moments (N, 3): s_xx, s_yy, s_xy in px^2 of the PSF (pixel not included) at (N, 2) pixels.
+    """Second moments (N, 3): s_xx, s_yy, s_xy in px^2 of the nearest Gaussian (pixel not included) at (N, 2) pixels.
 
     Kept positive definite: a polynomial may dip below zero outside where it was measured.
     """
@@ -28,3 +24,23 @@ def moments_at(psf: PsfMap, xy_px: np.ndarray) -> np.ndarray:
     limit = 0.95 * np.sqrt(s[:, 0] * s[:, 1])
     s[:, 2] = np.clip(s[:, 2], -limit, limit)
     return s
+
+
+def light(psf: PsfMap, xy_px: np.ndarray, dx_px: np.ndarray, dy_px: np.ndarray, *, pixel_px: float = 1.0) -> np.ndarray:
+    """(R, C) share of a point's light in pixels of side pixel_px centred dx (C,), dy (R,) from the spot's centre at xy (2,).
+
+    pixel_px 0: the density before the pixel, per px^2.
+    """
+    place = np.asarray(xy_px, float)[None]
+    if psf.hermite is not None:
+        found = hermite.coefficients_at(psf.hermite, place, psf.image_size_px)[0]
+        return hermite.image(found, psf.hermite, dx_px, dy_px, pixel_px=pixel_px)
+    s_xx, s_yy, s_xy = moments_at(psf, place)[0]
+    determinant = s_xx * s_yy - s_xy**2
+    nodes, weights = np.polynomial.legendre.leggauss(7)
+    total = 0.0
+    for i, wi in zip(nodes, weights, strict=True):
+        for j, wj in zip(nodes, weights, strict=True):
+            x, y = np.meshgrid(np.asarray(dx_px) + i * pixel_px / 2, np.asarray(dy_px) + j * pixel_px / 2)
+            total = total + wi * wj / 4 * np.exp(-(s_yy * x * x - 2 * s_xy * x * y + s_xx * y * y) / (2 * determinant))
+    return total / (2 * np.pi * np.sqrt(determinant)) * (pixel_px**2 or 1.0)
