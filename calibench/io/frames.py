@@ -21,7 +21,6 @@ from ..records import Frame
 from .alignment import right_aligned
 from .metadata import FrameMetadata, merge
 from .readers._reading import MAX_PIXELS, Reading
-from .series_checks import check_series
 from .sidecar import sidecar_of
 
 READERS = "calibench.io.readers"
@@ -61,11 +60,11 @@ def find_frames(arguments: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(sorted(found.values()))
 
 
-def read_frame(path: Path, kind: str | None = None, *, protocol: FrameMetadata | None = None) -> Frame:
+def read_frame(path: Path, kind: str | None = None, *, protocol: FrameMetadata | None = None, sha256: str = "") -> Frame:
     """One frame with everything that its file, its sidecar and the protocol say.
 
     kind: what the command supposes where no source says it. protocol: what the session's protocol states; it may
-    fill gaps and must not contradict.
+    fill gaps and must not contradict. sha256: of the file, where it was read before: hashing takes most of the time.
 
     Raises:
         BadInput: the file is missing, empty, truncated or not readable, claims more than it holds, or its sources
@@ -84,29 +83,7 @@ def read_frame(path: Path, kind: str | None = None, *, protocol: FrameMetadata |
     settled = _settled_values(reading, known, path)
     said = {name: value for name, value in vars(known).items() if name != "alignment"}
     return Frame(**(said | settled | {"kind": known.kind or kind or "unknown", "file": str(path),
-                                      "sha256": hashlib.sha256(raw).hexdigest()}))
-
-
-def read_series(paths: Sequence[Path], kind: str | None = None, *, protocol: FrameMetadata | None = None) -> list[Frame]:
-    """All frames of one series, in order, checked alike (see `series_checks.check_series`).
-
-    Raises:
-        BadInput: a frame cannot be read (all such frames are named), sizes, depths, gains or patterns are mixed, or the
-            levels show automatic exposure or gain at work.
-    """
-    frames: list[Frame] = []
-    errors: list[BadInput] = []
-    for path in paths:
-        try:
-            frames.append(read_frame(path, kind, protocol=protocol))
-        except BadInput as error:
-            errors.append(error)
-    if len(errors) == 1:
-        raise errors[0]
-    if errors:
-        lines = "".join(f"\n  {error}" for error in errors)
-        raise BadInput(f"{len(errors)} of {len(errors) + len(frames)} frames cannot be used:{lines}")
-    return check_series(frames)
+                                      "sha256": sha256 or hashlib.sha256(raw).hexdigest()}))
 
 
 def _listed(folder: Path) -> list[Path]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from datetime import UTC, datetime
 from types import MappingProxyType
@@ -30,7 +30,7 @@ def settings_of(name: str, given: Mapping[str, object]) -> object:
     return settings(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if v is not None})
 
 
-def measure(name: str, frames: Sequence[Frame], calmap: CalibrationMap | None,
+def measure(name: str, frames: Iterable[Frame], calmap: CalibrationMap | None,
             settings: Mapping[str, object] = NO_SETTINGS) -> Measurement:
     """Run the named measurement.
 

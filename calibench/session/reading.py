@@ -6,22 +6,22 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..errors import BadInput, Contradiction
+from ..io.frame_series import FrameSeries
 from ..io.frames import read_frame
-from ..io.series_checks import check_series
 from ..records import Frame
 
 MIXTURES = {"dark": {"dark"}, "flat": {"flat", "dark"}, "light": {"light"}}
 SWAPPED = "states that it is a {stated} frame, which this measurement does not take: are the folders swapped?"
 
 
-def read_or_reason(path: Path, kind: str, *, named: bool) -> Frame | BadInput:
-    """The frame, or why it cannot be used. kind: what it is taken for if it does not say.
+def read_or_reason(path: Path, kind: str, *, named: bool, sha256: str = "") -> Frame | BadInput:
+    """The frame, or why it cannot be used. kind: what it is taken for if it does not say. sha256: of the file, if known.
 
     Raises:
         Contradiction: its sources exclude each other. BadInput: it was named outright and cannot be read.
     """
     try:
-        return read_frame(path, kind)
+        return read_frame(path, kind, sha256=sha256)
     except BadInput as fault:
         if named or isinstance(fault, Contradiction):
             raise
@@ -29,30 +29,27 @@ def read_or_reason(path: Path, kind: str, *, named: bool) -> Frame | BadInput:
 
 
 def read_arguments(arguments: Sequence[Path], paths: Sequence[Path], kind: str, tell: Callable[[int], None],
-                   ) -> tuple[list[Frame], list[tuple[str, str]]]:
-    """Frames that belong together, and those of named folders that could not be used, with the reason.
+                   ) -> tuple[FrameSeries, list[tuple[str, str]]]:
+    """Frames that belong together, and those of named folders that could not be used, with the reason; both come to be
+    while the frames are iterated.
 
     A frame named outright is never left out silently: what is wrong with it is an error. kind: what a frame is taken
     for that does not say; darks may stand among flats.
 
-    Raises:
+    Raises (while the frames are iterated):
         Contradiction: sources exclude each other. BadInput: a named frame cannot be used, nothing is left, or the frames do
             not belong together.
     """
     named = {path.resolve() for path in arguments if not path.is_dir()}
-    frames, rejected = [], []
-    for i, path in enumerate(paths):
-        tell(i)
+
+    def read(path: Path, sha256: str) -> Frame | BadInput:
         must = path.resolve() in named
-        frame = read_or_reason(path, kind, named=must)
+        frame = read_or_reason(path, kind, named=must, sha256=sha256)
         if isinstance(frame, Frame) and frame.kind not in MIXTURES[kind] | {"unknown"}:
             frame = BadInput(SWAPPED.format(stated=frame.kind), file=path, mend="correct the frame's kind, or leave it out")
             if must:
                 raise frame
-        if isinstance(frame, BadInput):
-            rejected.append((str(path), frame.what))
-        else:
-            frames.append(frame)
-    if not frames:
-        raise BadInput("no frame could be used:" + "".join(f"\n  {file}: {why}" for file, why in rejected))
-    return check_series(frames), rejected
+        return frame
+
+    series = FrameSeries(paths, read, tell=tell)
+    return series, series.rejected

@@ -18,8 +18,9 @@ from time import perf_counter
 from ..calmap.correct import correct, outside_conditions
 from ..errors import BadInput
 from ..io import atomic
+from ..io.frame_series import FrameSeries, Joined
 from ..io.map_file import write_map
-from ..records import CalibrationMap, Frame, Measurement
+from ..records import CalibrationMap, Measurement
 from ..report.build import build_report
 from ..report.story import ShotStory, SkyStory, Story
 from ..validate.case import SkyCase
@@ -69,14 +70,14 @@ def run_session(session: Path, out: Path, tell: Tell = lambda stage, done, total
 
     measurements: dict[str, Measurement] = {}
     calmap = None
-    wanted = sorted((shot for shot in protocol.shot if shot.measure and frames[shot.name]), key=lambda s: _turn(s.measure))
+    wanted = sorted((shot for shot in protocol.shot if shot.measure and frames[shot.name].seen), key=lambda s: _turn(s.measure))
     sky = Sky(method=protocol.solve.identify)
     settings = {"attitude_method": protocol.solve.attitude, "detector": protocol.solve.detector,
                 "centroider": protocol.solve.centroid, "k_sigma": protocol.solve.k_sigma}
     for i, shot in enumerate(wanted):
         tell(f"measure {shot.measure}", i, len(wanted))
         clock = perf_counter()
-        given = frames[shot.name] + [f for other in shot.with_ for f in frames[other]]
+        given = Joined(*(frames[name] for name in (shot.name, *shot.with_)))
         asked = protocol.measure.get(shot.measure, {})
         if shot.measure == "star_lens":
             measurements[shot.measure] = star_lens([sky.solve(frame, calmap, settings=settings) for frame in given], asked)
@@ -110,17 +111,17 @@ def run_session(session: Path, out: Path, tell: Tell = lambda stage, done, total
     return result
 
 
-def check_session(session: Path, protocol: Protocol, tell: Tell) -> tuple[dict[str, list[Frame]], tuple[ShotStory, ...]]:
+def check_session(session: Path, protocol: Protocol, tell: Tell) -> tuple[dict[str, FrameSeries], tuple[ShotStory, ...]]:
     """All frames by shot name, and each shot's story."""
     frames, shots = {}, []
     for i, shot in enumerate(protocol.shot):
         tell(f"read {shot.name}", i, len(protocol.shot))
-        frames[shot.name], rejected = read_shot(session, shot)
-        shots.append(judge_shot(shot, frames[shot.name], rejected))
+        frames[shot.name] = read_shot(session, shot)
+        shots.append(judge_shot(shot, frames[shot.name]))
     return frames, tuple(shots)
 
 
-def _sky_cases(session: Path, protocol: Protocol, frames: dict[str, list[Frame]]) -> list[SkyCase]:
+def _sky_cases(session: Path, protocol: Protocol, frames: dict[str, FrameSeries]) -> list[SkyCase]:
     """Frames of the shots that nobody measures: the sky, with truth where the session carries it."""
     truth = load_truth(session / TRUTH_FILE) if (session / TRUTH_FILE).is_file() else {}
     return [SkyCase(frame=frame, truth=sky_truth(truth, frame.name))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..errors import BadInput
+from ..io.frame_series import FrameSeries
 from ..io.frames import find_frames
-from ..io.series_checks import check_series
 from ..records import Frame
 from ..report.story import ShotStory
 from .places import SESSION_FILE
@@ -45,29 +45,28 @@ def shot_files(session: Path, shot: Shot) -> tuple[Path, ...]:
     return find_frames([session / shot.folder])
 
 
-def read_shot(session: Path, shot: Shot) -> tuple[list[Frame], list[tuple[str, str]]]:
-    """Frames of one shot and, by name, those that could not be used and why.
+def read_shot(session: Path, shot: Shot) -> FrameSeries:
+    """The frames of one shot, which may be none; each file is read when they are iterated.
 
     A frame that cannot be read, or states another kind, is left out and said; the session goes on if enough are left.
+    """
+    def read(path: Path, sha256: str) -> Frame | BadInput:
+        frame = read_or_reason(path, shot.kind, named=False, sha256=sha256)
+        if isinstance(frame, Frame) and frame.kind != shot.kind:
+            return BadInput(WRONG_KIND.format(stated=frame.kind, shot=shot.name, wanted=shot.kind))
+        return frame
+
+    return FrameSeries(shot_files(session, shot), read, may_be_empty=True)
+
+
+def judge_shot(shot: Shot, series: FrameSeries) -> ShotStory:
+    """What the protocol's author would say of these frames.
 
     Raises:
         BadInput: the frames that are left do not belong together (sizes, depths, gains, automatic exposure).
     """
-    frames, rejected = [], []
-    for path in shot_files(session, shot):
-        frame = read_or_reason(path, shot.kind, named=False)
-        if isinstance(frame, BadInput):
-            rejected.append((path.name, frame.what))
-        elif frame.kind != shot.kind:
-            rejected.append((path.name, WRONG_KIND.format(stated=frame.kind, shot=shot.name, wanted=shot.kind)))
-        else:
-            frames.append(frame)
-    return (check_series(frames) if frames else []), rejected
-
-
-def judge_shot(shot: Shot, frames: list[Frame], rejected: list[tuple[str, str]]) -> ShotStory:
-    """What the protocol's author would say of these frames."""
-    remarks = [f"{name}: {why}" for name, why in rejected]
+    frames = series.seen
+    remarks = [f"{Path(file).name}: {why}" for file, why in series.rejected]
     exposures = {frame.exposure_s for frame in frames}
     enough = len(frames) >= shot.frames and len(exposures) >= shot.exposures
     if len(frames) < shot.frames:

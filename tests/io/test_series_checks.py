@@ -6,14 +6,22 @@ import numpy as np
 import pytest
 
 from calibench.errors import BadInput
-from calibench.io.series_checks import check_series, duplicates, refuse_automatic, require_alike
+from calibench.io.frame_seen import seen
+from calibench.io.series_checks import Groups, check_series, refuse_automatic
 from calibench.records import Frame
 
 
 def frame(level_dn: float = 500.0, *, kind="flat", exposure_s=0.1, seed=0, size=(40, 60), noise_dn=10.0, **said) -> Frame:
     data = np.random.default_rng(seed).normal(level_dn, noise_dn, size[::-1]).clip(0, 1023).astype(np.uint16)
-    return Frame(**{"data": data, "kind": kind, "bit_depth": 10, "white_level_dn": 1023.0, "exposure_s": exposure_s,
-                    "file": f"{kind}_{seed}.png", "sha256": f"{seed}"} | said)
+    return seen(Frame(**{"data": data, "kind": kind, "bit_depth": 10, "white_level_dn": 1023.0, "exposure_s": exposure_s,
+                         "file": f"{kind}_{seed}.png", "sha256": f"{seed}"} | said))
+
+
+def require_alike(frames):
+    groups = Groups()
+    for one in frames:
+        groups.add(one)
+    groups.require_one()
 
 
 @pytest.mark.parametrize(("other", "column"), [({"size": (41, 60)}, "size"), ({"bit_depth": 12}, "bits"),
@@ -77,13 +85,16 @@ def test_frames_without_an_exposure_claim_nothing():
 
 def test_duplicates_are_said():
     frames = check_series([frame(seed=1), frame(seed=2), frame(seed=1, file="copy.png")])
-    assert [(a.file, b.file) for a, b in duplicates(frames)] == [("copy.png", "flat_1.png")]
     assert "flat_1.png" in frames[2].notes[-1] and not frames[1].notes
 
 
 def test_a_black_frame_is_shifted_like_its_series():
-    rich = Frame(data=frame().data, bit_depth=12, white_level_dn=4095.0, sha256="a",
+    rich = Frame(data=np.full((60, 40), 700, np.uint16), bit_depth=12, white_level_dn=4095.0, sha256="a",
                  notes=("left-aligned 12-bit data in 16 bits (all values are multiples of 16); shifted right by 4 bits",))
-    poor = Frame(data=np.full((60, 40), 16, np.uint16), bit_depth=16, white_level_dn=65535.0, sha256="b")
-    poor = check_series([rich, poor])[1]
-    assert (poor.bit_depth, poor.white_level_dn, poor.data.max()) == (12, 4095.0, 1)
+    poor = Frame(data=np.full((60, 40), 16, np.uint16), bit_depth=16, white_level_dn=65535.0, sha256="b", kind="dark")
+    for frames in ((rich, poor), (poor, rich)):
+        found = dict(zip([f.sha256 for f in frames], check_series([seen(f) for f in frames]), strict=True))["b"]
+        assert (found.bit_depth, found.white_level_dn, found.largest_dn, found.level_dn) == (12, 4095.0, 1, 1.0)
+        settled = found.settle(poor)
+        assert (settled.bit_depth, settled.white_level_dn, settled.data.max()) == (12, 4095.0, 1)
+        assert "like the rest of the series" in settled.notes[0]
