@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from ..errors import BadInput
@@ -29,8 +27,7 @@ def frozen(value: object, *, name: str, shape: tuple[int | None, ...], dtype: ob
 
 def settle(record: object, **arrays: object) -> None:
     """Replace fields of a frozen dataclass by their checked arrays; called from ``__post_init__`` only."""
-    known = {field.name for field in dataclasses.fields(record)}
     for name, array in arrays.items():
-        if name not in known:
+        if name not in record.__dataclass_fields__:
             raise TypeError(f"{type(record).__name__} has no field {name}")
         object.__setattr__(record, name, array)

@@ -299,7 +299,7 @@ def chance_known(grid, field, spots, radius, own, matrix):
 
 @compiled
 def final_match(grid, field, spots, sigma, matrix, covariance):
-    """All spots (N, 3) that a believed attitude puts on a star, the attitude fitted to them, twice.
+    """All spots (N, 3) that a believed attitude puts on a star, once more after the attitude was fitted to them.
 
     Returns (spot rows (M,), star rows (M,), matrix).
     """
@@ -307,7 +307,7 @@ def final_match(grid, field, spots, sigma, matrix, covariance):
     turned(matrix.T.copy(), field.centre, centre)
     rows = brightest_within(grid.directions, centre, np.cos(field.half_diagonal), int(stars_for(len(spots)) / field.filling))
     least = 0.0
-    for _ in range(3):
+    for _ in range(2):
         for i in range(len(spots)):
             radius[i] = max(TOLERANCE_SIGMA * np.sqrt(sigma[i] ** 2 + turn_variance(covariance, spots[i])), least)
         star, off = match_spots(grid, spots, matrix, radius, rows[-1] + 1)

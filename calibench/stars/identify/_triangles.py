@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache
 from itertools import combinations
+from math import ceil, log, pi
 
 import numpy as np
 
@@ -34,13 +35,13 @@ def sides(corners: np.ndarray) -> np.ndarray:
 
 def table_key(view: View) -> tuple[float]:
     """Half diagonal, rad, in steps of KEY_STEP, rounded up."""
-    step = np.log(1 + KEY_STEP)
-    return (float(np.exp(np.ceil(np.log(min(view.half_diagonal_rad, np.pi / 2)) / step) * step)),)
+    steps = ceil(log(min(view.half_diagonal_rad, pi / 2), 1 + KEY_STEP))
+    return ((1 + KEY_STEP) ** steps,)
 
 
 def build(sky: SkyCatalogue, sizes: tuple[float]) -> CodeTable:
     """Codes: the three sides, ascending; rows: corners in the order of the sides opposite them."""
-    half = min(sizes[0], np.pi / 2)
+    half = min(sizes[0], pi / 2)
     groups = [brightest_groups(sky, part * half, stars, 3) for part, stars in CIRCLES]
     groups = unique_rows(np.concatenate(groups), len(sky.directions))
     length = sides(sky.directions[groups])
