@@ -20,7 +20,7 @@ def group() -> None:
 
 @app.command()
 def session(folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder.")],
-            plan: Annotated[str, typer.Option(help="How much: sample or thesis.")] = "sample",
+            plan: Annotated[str, typer.Option(help="What and how much: sample, thesis or emva.")] = "sample",
             seed: Annotated[int, typer.Option(min=0, help="The same seed renders the same camera and frames.")] = 1,
             json_: Json = False) -> None:
     """A whole protocol (boards, darks, flats, spots, sky) and its truth.toml."""

@@ -43,7 +43,7 @@ def known_gain(calmap: CalibrationMap | None, frame: Frame) -> Gain:
         if theirs is not None and mine is not None and theirs != mine:
             raise BadInput(f"gain setting {mine:g}, but the map's gain was measured at {theirs:g}", file=frame.file or None,
                            mend="use a map of the same gain setting, or measure flats at this one")
-        figure = calmap.quantities.get("flat.gain_dn_per_e")
+        figure = calmap.quantities.get("transfer.gain_dn_per_e") or calmap.quantities.get("flat.gain_dn_per_e")
         return Gain(dn_per_e=calmap.gain_dn_per_e, uncertainty=(figure and figure.uncertainty) or 0.0, origin="the map")
     if frame.egain_e_per_dn:
         return Gain(dn_per_e=1 / frame.egain_e_per_dn, origin="EGAIN in the frames")

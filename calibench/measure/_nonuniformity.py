@@ -83,15 +83,16 @@ def split(image: np.ndarray, temporal_variance_of_mean: float, *, filtered: bool
     h, w = image.shape
     whole, line = (NOISE_GAIN, LINE_NOISE_GAIN) if filtered else (1.0, 1.0)
     t = temporal_variance_of_mean
-    s2 = float(np.var(image, ddof=1)) - whole * t
-    columns, rows = (float(np.var(image.mean(axis=axis), ddof=1)) for axis in (0, 1))
+    s2 = float(np.var(image)) - whole * t
+    column_means, row_means = image.mean(axis=0), image.mean(axis=1)
+    columns, rows = float(np.var(column_means)), float(np.var(row_means))
     of_columns, of_rows = columns - line * t / h, rows - line * t / w
     rest = h * w - h - w
     column = ((h * w - h) * of_columns - w * (s2 - of_rows)) / rest
     row = ((h * w - w) * of_rows - h * (s2 - of_columns)) / rest
     pixel = h * w * (s2 - of_columns - of_rows) / rest
     column_error, row_error = columns * np.sqrt(2 / (w - 1)), rows * np.sqrt(2 / (h - 1))
-    pixel_error = _variance_error(image)
+    pixel_error = _variance_error(image - column_means - row_means[:, None])
     return Parts(total=_spatial(s2, float(np.sqrt(pixel_error**2 + column_error**2 + row_error**2))),
                  row=_spatial(row, row_error), column=_spatial(column, column_error), pixel=_spatial(pixel, pixel_error))
 

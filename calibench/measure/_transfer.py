@@ -55,6 +55,17 @@ def line(x: np.ndarray, y: np.ndarray, error: np.ndarray, *, free_offset: bool =
                 offset_error=float(errors[1]) if free_offset else 0.0, chi2=chi2, weighted=not alike)
 
 
+def variance_line(x: np.ndarray, y: np.ndarray, error: np.ndarray, total: np.ndarray) -> Line:
+    """Line through variances y, which are parts of the measured `total`.
+
+    The error of a variance is as large as the variance: one that is low by chance would weigh more and draw the line down. The
+    errors are therefore scaled to what a first line expects.
+    """
+    first = line(x, y, error)
+    expected = first.slope * x + first.offset + total - y
+    return line(x, y, error * np.clip(expected / total, 0.5, 2.0))
+
+
 def gain(points: list[TransferPoint]) -> tuple[float, float, str]:
     """Gain in DN/e-, its 1-sigma uncertainty, and how it was had.
 

@@ -27,6 +27,7 @@ from ._photon.plane import Image, Plane, analyse
 
 MEND = "take a ladder of about 50 (at least 9) even steps from dark to saturation, two frames each, and darks of each exposure"
 FEW_LEVELS = 9
+DARK_STEPS = 4.0
 FLICKER, DIM = 0.002, 0.05  # relative scatter of the frames of a level, at this part of saturation and above
 CORRELATED, CORRELATED_SIGMA = 0.01, 5.0
 
@@ -59,6 +60,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         lit, darks = [v for v in levels if not v.dark], _darks(levels, calmap, first, i)
         if not lit:
             raise BadInput("no level of light has two frames", mend=MEND)
+        _refuse_swapped(lit, [v for v in levels if v.dark])
         dark, bright = (_image(gathered, i, is_dark) for is_dark in (True, False))
         planes[name] = analyse(lit, darks, dark, bright, first.white_level_dn)
     curves = [plane.curve for plane in planes.values()]
@@ -80,14 +82,14 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
 
 def _gather(frames: Iterable[Frame], ledger: Ledger, settings: Settings) -> Levels:
     gathered = None
-    dark_seen = set()
+    checked_s = -1.0
     for frame in frames:
         if frame.exposure_s is not None and frame.exposure_s > MAX_EXPOSURE_S:
             raise BadInput(f"an exposure of {frame.exposure_s:g} s is longer than a day", file=frame.file or None,
                            mend="give exposures in seconds (in nanoseconds in a descriptor)")
-        if frame.kind == "dark" and frame.exposure_s not in dark_seen:  # one of each: the check costs more than the sums
+        if frame.kind == "dark" and (frame.exposure_s or 0.0) > DARK_STEPS * checked_s:  # some: the check is slow
             check_dark(frame)
-            dark_seen.add(frame.exposure_s)
+            checked_s = frame.exposure_s or 0.0
         if not ledger.take(frame):
             continue
         photons = frame.photons_per_px
@@ -97,7 +99,7 @@ def _gather(frames: Iterable[Frame], ledger: Ledger, settings: Settings) -> Leve
         gathered.add(frame, photons)
     if gathered is None:
         raise BadInput("no frames were given", mend=MEND)
-    gathered.close()
+    gathered.close(ledger.first.white_level_dn)
     ledger.rejected += [(file, "the only frame of its level: the temporal noise needs two") for file in gathered.single]
     if not any(gathered.levels.values()):
         raise BadInput("every level has one frame only: the temporal noise needs two frames of each", mend=MEND)
@@ -121,9 +123,18 @@ def _darks(levels: list[Level], calmap: CalibrationMap | None, first: Frame, pla
                  variance_error_dn2=np.full(2, noise * np.sqrt(2 / calmap.read_noise_dn[place].size)))
 
 
+def _refuse_swapped(lit: list[Level], dark: list[Level]) -> None:
+    brightest = {v.exposure_s: v.mean_dn for v in sorted(lit, key=lambda v: v.mean_dn)}
+    wrong = [v for v in dark if v.mean_dn > brightest.get(v.exposure_s, np.inf) + 3 * np.sqrt(v.variance_dn2)]
+    if wrong:
+        at = "" if wrong[0].exposure_s is None else f" at {wrong[0].exposure_s:g} s"
+        raise BadInput(f"the darks are brighter ({wrong[0].mean_dn:.0f} DN) than the light "
+                       f"({brightest[wrong[0].exposure_s]:.0f} DN){at}", mend="were the folders of darks and light swapped?")
+
+
 def _image(gathered: Levels, plane: int, dark: bool) -> Image | None:
     stack = gathered.stacks.get(dark)
-    return None if stack is None else Image(mean_dn=stack.means_dn[plane], level=stack.levels[plane])
+    return None if stack is None else Image(mean_dn=stack.totals[plane] / stack.levels[plane].count, level=stack.levels[plane])
 
 
 def _all_planes(planes: dict[str, Plane]) -> tuple[Quantity, ...]:

@@ -16,17 +16,20 @@ from ..io.observer import observer_at
 from ..io.star_table import load_star_table
 from ..io.toml_text import dumps
 from ..simulate.camera import thesis_camera
-from ..simulate.session import SessionPlan, render_session, sample_plan, thesis_plan
+from ..simulate.session import SessionPlan, emva_plan, render_session, sample_plan, thesis_plan
 from ..simulate.truth import camera_truth
 from ..validate.case import SkyTruth
 from .places import SESSION_FILE, TRUTH_FILE, protocol_file
 
-PLANS: dict[str, Callable[[], SessionPlan]] = {"sample": sample_plan, "thesis": thesis_plan}
+PLANS: dict[str, Callable[[], SessionPlan]] = {"sample": sample_plan, "thesis": thesis_plan, "emva": emva_plan}
+PROTOCOLS = {"sample": "star_camera", "thesis": "star_camera", "emva": "sensor_emva"}
 
 
 def frames_of(plan: SessionPlan) -> int:
     """How many frames a plan has."""
-    return (plan.board_views + sum(n for _, n in plan.darks) + sum(n for _, n in plan.flats) + plan.spot_frames + len(plan.sky))
+    ladder = 2 * sum(n for _, n in plan.ladder.shots) if plan.ladder else 0
+    return (plan.board_views + sum(n for _, n in plan.darks) + sum(n for _, n in plan.flats) + plan.spot_frames + len(plan.sky)
+            + ladder)
 
 
 def render(folder: Path, *, plan_name: str = "sample", seed: int = 1) -> Iterator[Path]:
@@ -48,7 +51,7 @@ def render(folder: Path, *, plan_name: str = "sample", seed: int = 1) -> Iterato
                     pixel_size_um=frame.pixel_size_um)
         truth["frames"][rendered.path] = rendered.truth
         yield path
-    atomic.write_bytes(folder / SESSION_FILE, protocol_file("star_camera").read_bytes())
+    atomic.write_bytes(folder / SESSION_FILE, protocol_file(PROTOCOLS[plan_name]).read_bytes())
     atomic.write_bytes(folder / TRUTH_FILE, dumps(truth).encode())
 
 

@@ -36,7 +36,7 @@ from .sky import Sky, SolvedFrame
 from .star_names import STAR_NAMES
 from .star_target import star_lens
 
-FIRST, LAST = ("flat", "dark", "intrinsics", "psf"), ("star_lens",)  # what else there is comes between
+FIRST, LAST = ("flat", "transfer", "dark", "intrinsics", "psf"), ("star_lens",)  # what else there is comes between
 Tell = Callable[[str, int, int], None]  # (stage, done, total)
 
 
@@ -73,7 +73,8 @@ def run_session(session: Path, out: Path, tell: Tell = lambda stage, done, total
     wanted = sorted((shot for shot in protocol.shot if shot.measure and frames[shot.name].seen), key=lambda s: _turn(s.measure))
     sky = Sky(method=protocol.solve.identify)
     settings = {"attitude_method": protocol.solve.attitude, "detector": protocol.solve.detector,
-                "centroider": protocol.solve.centroid, "k_sigma": protocol.solve.k_sigma}
+                "centroider": protocol.solve.centroid, "k_sigma": protocol.solve.k_sigma,
+                "false_alarms": protocol.solve.false_alarms}
     for i, shot in enumerate(wanted):
         tell(f"measure {shot.measure}", i, len(wanted))
         clock = perf_counter()
@@ -122,10 +123,10 @@ def check_session(session: Path, protocol: Protocol, tell: Tell) -> tuple[dict[s
 
 
 def _sky_cases(session: Path, protocol: Protocol, frames: dict[str, FrameSeries]) -> list[SkyCase]:
-    """Frames of the shots that nobody measures: the sky, with truth where the session carries it."""
+    """Light frames of the shots that nobody measures: the sky, with truth where the session carries it."""
     truth = load_truth(session / TRUTH_FILE) if (session / TRUTH_FILE).is_file() else {}
     return [SkyCase(frame=frame, truth=sky_truth(truth, frame.name))
-            for shot in protocol.shot if shot.measure is None for frame in frames[shot.name]]
+            for shot in protocol.shot if shot.measure is None and shot.kind == "light" for frame in frames[shot.name]]
 
 
 def _turn(measurement: str) -> int:

@@ -1,4 +1,4 @@
-"""A whole lab session of a simulated camera, frame by frame with its truth: boards/, darks/, flats/, spots/, sky/."""
+"""A lab session of a simulated camera, frame by frame with its truth: boards/, darks/, flats/, spots/, sky/, transfer/."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from ..geometry.sphere import camera_pointing_at
 from ..records import Frame, Observer, StarTable
 from .board import Board, random_poses, render_board
 from .camera import SimulatedCamera, stream
+from .ladder import LightLadder
 from .lamp import lit_flat
 from .pinholes import pinholes
 from .sensor import expose
 from .starfield import SkyConditions, star_field
-from .truth import board_truth, flat_truth, sky_truth, spots_truth
+from .truth import board_truth, flat_truth, ladder_truth, sky_truth, spots_truth
 
 # Each kind of frame draws from random streams of its own, so that changing one count changes no other frame.
-_BOARD_POSES, _BOARDS, _DARKS, _FLATS, _SPOTS, _SKY = range(6)
+_BOARD_POSES, _BOARDS, _DARKS, _FLATS, _SPOTS, _SKY, _LADDER, _LADDER_DARKS = range(8)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +37,7 @@ class SkyPointing:
 @dataclass(frozen=True, kw_only=True)
 class SessionPlan:
     """What a session holds. darks and flats: pairs of (exposure_s, frames); white_e and lamp_e_per_s: photo-electrons where the
-    lens is brightest; spot_flux_e: of one pinhole on the axis."""
+    lens is brightest; spot_flux_e: of one pinhole on the axis; ladder: a photon transfer series."""
 
     board: Board
     board_views: int
@@ -53,6 +54,7 @@ class SessionPlan:
     sky_exposure_s: float
     sky_conditions: SkyConditions
     temperature_c: float
+    ladder: LightLadder | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +114,15 @@ def render_session(camera: SimulatedCamera, stars: StarTable, plan: SessionPlan,
                     sky_truth(camera, stars, field, r_cam_icrs, observer), kind="light", exposure_s=plan.sky_exposure_s,
                     rng=rng, date_obs=pointing.date_obs)
 
+    for kind, folder, key in (("flat", "transfer", _LADDER), ("dark", "transfer_darks", _LADDER_DARKS)):
+        for level, (exposure_s, count) in enumerate(plan.ladder.shots if plan.ladder else ()):
+            photons = plan.ladder.photons_per_px_s * exposure_s if kind == "flat" else 0.0
+            light_e = photons * camera.sensor.quantum_efficiency
+            for i in range(count):
+                path = f"{folder}/{kind}_{1e3 * exposure_s:07.3f}ms_{i + 1:03d}"
+                yield taken(path, light_e, ladder_truth(photons), kind=kind, exposure_s=exposure_s,
+                            rng=stream(seed, key, level, i))
+
 
 _SAMPLE_SKY = (
     SkyPointing(field="orion", ra_deg=84.0, dec_deg=-1.0, roll_deg=8.0, date_obs="2025-01-18T20:14:00"),
@@ -138,3 +149,14 @@ def thesis_plan() -> SessionPlan:
         darks=tuple((t, 20) for t in (0.0001, 0.0243, 0.0486, 0.0729, 0.2, 1.0)), flats=((0.012, 30), (0.02, 30)),
         lamp_e_per_s=225e3, spot_frames=12, spot_grid=(15, 10), spot_exposure_s=0.02, spot_flux_e=8000.0,
         sky=_SAMPLE_SKY, sky_exposure_s=0.2, sky_conditions=SkyConditions(false_stars=2, cosmic_hits=3), temperature_c=25.0)
+
+
+def emva_plan() -> SessionPlan:
+    """A photon transfer series and nothing else: 30 levels from dark to 5 % beyond the thesis camera's saturation, two frames
+    each lit and dark, and stacks of 50 more at half of it."""
+    exposures_s = tuple(np.linspace(0.001, 0.03, 30).round(7).tolist())
+    return SessionPlan(
+        board=Board(columns=9, rows=6, square_mm=25.0), board_views=0, board_exposure_s=0.01, board_white_e=0.0, darks=(),
+        flats=(), lamp_e_per_s=0.0, spot_frames=0, spot_grid=(15, 10), spot_exposure_s=0.02, spot_flux_e=0.0, sky=(),
+        sky_exposure_s=0.2, sky_conditions=SkyConditions(), temperature_c=25.0,
+        ladder=LightLadder(exposures_s=exposures_s, photons_per_px_s=840e3, frames=2, stack_frames=50))

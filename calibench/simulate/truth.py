@@ -54,6 +54,11 @@ def flat_truth(peak_e: float) -> dict:
     return {"scene": "flat", "peak_e": float(peak_e)}
 
 
+def ladder_truth(photons: float) -> dict:
+    """Mean number of photons on each pixel."""
+    return {"scene": "ladder", "photons_per_px": float(photons)}
+
+
 def spots_truth(image: PinholeImage) -> dict:
     """Spots as rows of [x, y, centroid x, centroid y, flux_e]; x, y: chief ray."""
     rows = np.column_stack([image.xy_px, image.centroid_px, image.flux_e])

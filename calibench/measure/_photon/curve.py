@@ -17,6 +17,7 @@ FITTED_FILL = 0.7  # of saturation: the range of the fits
 SATURATED_SHARE = (0.001, 0.002)  # of the pixels at the largest value
 VARIANCE_FALLS = 0.8  # a full well without a clipped converter shows as a variance that falls by this from its peak
 SAME_EXPOSURE = 1e-6
+CLEARLY_MORE = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +53,16 @@ class Darks:
 def darks_of(levels: Sequence[Level]) -> Darks:
     """Dark levels in ascending exposure."""
     levels = sorted(levels, key=lambda v: -1.0 if v.exposure_s is None else v.exposure_s)
-    error = [np.sqrt(v.variance_dn2 / (v.count * v.pixels) + float(np.var(v.frame_means_dn, ddof=1)) / v.count) for v in levels]
     return Darks(exposure_s=np.array([np.nan if v.exposure_s is None else v.exposure_s for v in levels]),
-                 mean_dn=np.array([v.mean_dn for v in levels]), mean_error_dn=np.array(error),
+                 mean_dn=np.array([v.mean_dn for v in levels]), mean_error_dn=np.array([_mean_error_dn(v) for v in levels]),
                  variance_dn2=np.array([v.variance_dn2 for v in levels]),
                  variance_error_dn2=np.array([v.variance_error_dn2 for v in levels]))
+
+
+def _mean_error_dn(level: Level) -> float:
+    """1-sigma of a level's mean: what the pixels' noise makes of it, or the frames' scatter where that is clearly more."""
+    of_pixels, of_frames = level.variance_dn2 / level.pixels, float(np.var(level.frame_means_dn, ddof=1))
+    return float(np.sqrt((of_frames if of_frames > CLEARLY_MORE * of_pixels else of_pixels) / level.count))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,52 +1,74 @@
-"""Sums over one frame, over the difference of two, and over the sum of a level: each pixel is touched once.
+"""Sums over a frame, over a pair of frames, and over the sum of a stack: each pixel is touched once.
 
-Integers throughout (exact), but for the fourth power, which only an error bar needs.
+The pair's sums are doubles that hold whole numbers (below 2^53, so exact in any order, and quicker than integers), but for the
+fourth power, which only an error bar needs.
 """
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from ...kernels import compiled
 
+any_order = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+
+
+@compiled
+def top(data):
+    """Largest value of data (H, W) uint16, and how many pixels have it."""
+    maximum, count = np.uint16(0), np.int64(0)
+    for y in range(data.shape[0]):
+        for x in range(data.shape[1]):
+            maximum = max(maximum, data[y, x])
+    for y in range(data.shape[0]):
+        row = np.uint32(0)
+        for x in range(data.shape[1]):
+            row += np.uint32(data[y, x] == maximum)
+        count += np.int64(row)
+    return maximum, count
+
+
+@any_order
+def pair(earlier, later):
+    """Sums over two frames (H, W) uint16: of d = later - earlier, d^2, d^4, d times its right, d times its lower neighbour, of
+    (earlier + later)^2; then the sums of earlier + later over each column (W,) and each row (H,)."""
+    height, width = earlier.shape
+    plain, squares, fourth, right, below, both = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    above, d = np.zeros(width), np.zeros(width)
+    columns, rows = np.zeros(width), np.zeros(height)
+    for y in range(height):
+        row = 0.0
+        for x in range(width):
+            u, v = np.float64(earlier[y, x]), np.float64(later[y, x])
+            d[x] = v - u
+            columns[x] += u + v
+            row += u + v
+            both += (u + v) * (u + v)
+        for x in range(width):
+            square = d[x] * d[x]
+            plain += d[x]
+            squares += square
+            fourth += square * square
+            below += d[x] * above[x]
+            above[x] = d[x]
+        for x in range(1, width):
+            right += d[x] * d[x - 1]
+        rows[y] = row
+    return plain, squares, fourth, right, below, both, columns, rows
+
 
 @compiled
 def add(data, total):
-    """Add data (H, W) uint16 to total (H, W) uint32. Gives its sum, sum of squares, maximum, and the pixels at that."""
-    plain, squares, maximum, at_maximum = np.int64(0), np.int64(0), np.int64(-1), np.int64(0)
+    """Add data (H, W) uint16 to total (H, W) uint32. Gives its sum and its sum of squares."""
+    plain, squares = np.int64(0), np.int64(0)
     for y in range(data.shape[0]):
         for x in range(data.shape[1]):
             value = np.int64(data[y, x])
             total[y, x] += np.uint32(value)
             plain += value
             squares += value * value
-            maximum = max(maximum, value)
-    for y in range(data.shape[0]):
-        for x in range(data.shape[1]):
-            at_maximum += np.int64(data[y, x]) == maximum
-    return plain, squares, maximum, at_maximum
-
-
-@compiled
-def difference(earlier, later):
-    """Sums over d = later - earlier, (H, W) uint16 each: d, d^2, d^4, d times its right, d times its lower neighbour."""
-    plain, squares, right, below, fourth = np.int64(0), np.int64(0), np.int64(0), np.int64(0), 0.0
-    above = np.zeros(earlier.shape[1], np.int64)
-    for y in range(earlier.shape[0]):
-        left = np.int64(0)
-        row_fourth = 0.0
-        for x in range(earlier.shape[1]):
-            d = np.int64(later[y, x]) - np.int64(earlier[y, x])
-            square = d * d
-            plain += d
-            squares += square
-            row_fourth += float(square) * float(square)
-            right += d * left
-            below += d * above[x]
-            left = d
-            above[x] = d
-        fourth += row_fourth
-    return plain, squares, fourth, right, below
+    return plain, squares
 
 
 @compiled

@@ -18,6 +18,7 @@ from . import kernels
 OPEN_BYTES = 200e6  # of sum images at a time; a level that comes again after it was given up is a level of its own
 SAME_LIGHT = 0.01  # frames of one exposure whose means differ by more are different levels
 SAME_LIGHT_DN = 1.0
+MARKED = 4  # every so many rows and columns tell one level of light from another
 PLANES = {"R": "r", "B": "b"}
 
 
@@ -61,35 +62,64 @@ class Level:
 
 @dataclass(frozen=True, kw_only=True)
 class Stack:
-    """The mean image of each plane (H, W) of the level with most frames, and those levels."""
+    """Sums of the frames of each plane (H, W) of one level, and that level."""
 
-    means_dn: tuple[np.ndarray, ...]
+    totals: tuple[np.ndarray, ...]
     levels: tuple[Level, ...]
 
 
 @dataclass
 class _Open:
-    """A level while its frames come in; lists run over the planes."""
+    """One plane of a level while its frames come in: the frames themselves up to two, then their sum."""
 
-    frame: Frame
-    files: list[str] = field(default_factory=list)
-    first: list[np.ndarray] = field(default_factory=list)
-    total: list[np.ndarray] = field(default_factory=list)
-    sums: list[list[int]] = field(default_factory=list)
-    squares: list[int] = field(default_factory=list)
-    tops: list[dict[int, int]] = field(default_factory=list)
-    pair: list[tuple] = field(default_factory=list)
+    frames: list[np.ndarray] = field(default_factory=list)
+    total: np.ndarray | None = None
+    sums: list[int] = field(default_factory=list)
+    squares: int = 0
+    tops: dict[int, int] = field(default_factory=dict)
+    pair: tuple = ()
+
+    def add(self, plane: np.ndarray) -> None:
+        maximum, count = kernels.top(plane)
+        self.tops[maximum] = self.tops.get(maximum, 0) + count
+        self.frames.append(plane)
+        if len(self.frames) == 2 and not self.pair:
+            self.pair = kernels.pair(*self.frames)
+        if len(self.frames) > 2 or self.total is not None:
+            self._pile()
+
+    def summed(self) -> np.ndarray:
+        """(H, W) uint32 sum of the frames."""
+        if self.total is None:
+            self._pile()
+        return self.total
+
+    @property
+    def held_bytes(self) -> int:
+        return sum(f.nbytes for f in self.frames) + (0 if self.total is None else self.total.nbytes)
+
+    def _pile(self) -> None:
+        if self.total is None:
+            self.total = np.zeros(self.frames[0].shape, np.uint32)
+        for frame in self.frames:
+            plain, squares = kernels.add(frame, self.total)
+            self.sums.append(int(plain))
+            self.squares += int(squares)
+        self.frames.clear()
 
 
 class Levels:
     """Takes frames one by one; `levels`, `stacks` and `single` are complete after `close`.
 
-    levels: for each plane, all levels of two frames or more. single: files of levels with one frame only.
+    levels: for each plane, all levels of two frames or more. stacks: of dark (True) and lit frames. single: files of levels
+    with one frame only.
     """
 
     def __init__(self, bayer_pattern: str | None):
         self._places = _places(bayer_pattern)
-        self._open: OrderedDict[tuple, _Open] = OrderedDict()
+        self._open: OrderedDict[tuple, list[_Open]] = OrderedDict()
+        self._files: dict[tuple, list[str]] = {}
+        self._marks: dict[tuple, float] = {}
         self.levels: dict[str, list[Level]] = {name: [] for name in self._places}
         self.stacks: dict[bool, Stack] = {}
         self.single: list[str] = []
@@ -101,66 +131,53 @@ class Levels:
             BadInput: its values are no whole DN of 16 bits.
         """
         data = _whole(frame)
-        key = self._key(frame, photons, float(data.mean()))
-        level = self._open.setdefault(key, _Open(frame=frame))
+        key = self._key(frame, photons, float(data[::MARKED, ::MARKED].mean()))
+        planes = self._open.setdefault(key, [_Open() for _ in self._places])
         self._open.move_to_end(key)
-        level.files.append(frame.file or frame.name)
-        for i, place in enumerate(self._places.values()):
-            plane = np.ascontiguousarray(data[place])
+        self._files.setdefault(key, []).append(frame.file or frame.name)
+        for level, place in zip(planes, self._places.values(), strict=True):
+            plane = np.ascontiguousarray(data[place]).view()
             plane.flags.writeable = False  # one compiled form serves planes and whole frames
-            if len(level.files) == 1:
-                level.first.append(plane)
-                level.total.append(np.zeros(plane.shape, np.uint32))
-                level.sums.append([])
-                level.squares.append(0)
-                level.tops.append({})
-            elif len(level.files) == 2:
-                level.pair.append(kernels.difference(level.first[i], plane))
-            plain, squares, maximum, at_maximum = kernels.add(plane, level.total[i])
-            level.sums[i].append(plain)
-            level.squares[i] += squares
-            level.tops[i][maximum] = level.tops[i].get(maximum, 0) + at_maximum
-        if len(level.files) == 2:
-            level.first.clear()
-        self._give_up_oldest()
+            level.add(plane)
+        self._give_up_oldest(frame.white_level_dn)
 
-    def close(self) -> None:
+    def close(self, white_level_dn: float) -> None:
         """No more frames."""
         for key in list(self._open):
-            self._close(key)
+            self._close(key, white_level_dn)
 
-    def _key(self, frame: Frame, photons: float | None, mean_dn: float) -> tuple:
-        """Of the open level that the frame belongs to, or a new one."""
-        dark = frame.kind == "dark"
-        if dark or photons is not None:
-            return dark, frame.exposure_s, photons, 0
-        same = [k for k in self._open if k[:3] == (dark, frame.exposure_s, photons)]
-        for key in same:
-            theirs = np.sum([s[-1] for s in self._open[key].sums]) / frame.data.size
-            if abs(theirs - mean_dn) <= max(SAME_LIGHT * theirs, SAME_LIGHT_DN):
+    def _key(self, frame: Frame, photons: float | None, mark_dn: float) -> tuple:
+        """Of the open level that the frame belongs to, or a new one. Where nothing tells lights of one exposure apart, the mean
+        (of every MARKED-th pixel) does."""
+        alike = (frame.kind == "dark", frame.exposure_s, photons)
+        if alike[0] or photons is not None:
+            return *alike, 0
+        for key, theirs in self._marks.items():
+            if key[:3] == alike and key in self._open and abs(theirs - mark_dn) <= max(SAME_LIGHT * theirs, SAME_LIGHT_DN):
                 return key
-        return dark, frame.exposure_s, photons, len(self.single) + len(self.levels[next(iter(self.levels))]) + len(self._open)
+        key = (*alike, len(self._marks))
+        self._marks[key] = mark_dn
+        return key
 
-    def _give_up_oldest(self) -> None:
-        held = sum(t.nbytes for level in self._open.values() for t in level.total)
-        for key in [k for k, level in self._open.items() if len(level.files) > 1][:-1]:
+    def _give_up_oldest(self, white_level_dn: float) -> None:
+        held = sum(level.held_bytes for planes in self._open.values() for level in planes)
+        for key in [k for k in self._open if len(self._files[k]) > 1][:-1]:
             if held <= OPEN_BYTES:
                 return
-            held -= sum(t.nbytes for t in self._open[key].total)
-            self._close(key)
+            held -= sum(level.held_bytes for level in self._open[key])
+            self._close(key, white_level_dn)
 
-    def _close(self, key: tuple) -> None:
-        level = self._open.pop(key)
-        if len(level.files) < 2:
-            self.single += level.files
+    def _close(self, key: tuple, white_level_dn: float) -> None:
+        planes, files = self._open.pop(key), self._files.pop(key)
+        if len(files) < 2:
+            self.single += files
             return
-        planes = [_figures(level, i, key) for i in range(len(self._places))]
-        for found, name in zip(planes, self._places, strict=True):
-            self.levels[name].append(found)
+        found = tuple(_figures(level, key) for level in planes)
+        for figures, name in zip(found, self._places, strict=True):
+            self.levels[name].append(figures)
         kept = self.stacks.get(key[0])
-        if kept is None or _worth(planes, level.frame) > _worth(kept.levels, level.frame):
-            means = tuple(total / len(level.files) for total in level.total)
-            self.stacks[key[0]] = Stack(means_dn=means, levels=tuple(planes))
+        if kept is None or _worth(found, white_level_dn) > _worth(kept.levels, white_level_dn):
+            self.stacks[key[0]] = Stack(totals=tuple(level.summed() for level in planes), levels=found)
 
 
 def _places(bayer_pattern: str | None) -> dict[str, tuple]:
@@ -185,32 +202,38 @@ def _whole(frame: Frame) -> np.ndarray:
     return data.astype(np.uint16)
 
 
-def _worth(planes: tuple[Level, ...] | list[Level], frame: Frame) -> tuple:
+def _worth(planes: tuple[Level, ...], white_level_dn: float) -> tuple:
     """What makes a good stack: lit to about half of the range, many frames, then the nearest to half."""
-    off = abs(np.mean([p.mean_dn for p in planes]) / frame.white_level_dn - 0.5)
-    return (planes[0].dark or off < 0.25, planes[0].count, -off if not planes[0].dark else 0)
+    off = abs(np.mean([p.mean_dn for p in planes]) / white_level_dn - 0.5)
+    dark = planes[0].dark
+    return (dark or off < 0.25, planes[0].count, 0.0 if dark else -off)
 
 
-def _figures(level: _Open, i: int, key: tuple) -> Level:
-    shape, total, count = level.total[i].shape, level.total[i], len(level.files)
-    n, height, width = total.size, *shape
-    means = np.array(level.sums[i]) / n
-    whole = int(sum(level.sums[i]))
-    centre = round(whole / n)
-    squares, columns, rows = kernels.lines(total, centre)
-    sum_sq = int(squares) + 2 * centre * whole - n * centre**2
-    scatter = (level.squares[i] * count - sum_sq) / (count * (count - 1) * n)  # whole numbers above: exact
-    plain, d2, d4, right, below = level.pair[i]
+def _figures(level: _Open, key: tuple) -> Level:
+    plain, d2, d4, right, below, both, columns, rows = level.pair
+    height, width = len(rows), len(columns)
+    n, count = height * width, 2
+    if level.total is None:
+        whole = float(rows.sum())
+        means = np.array([whole - plain, whole + plain]) / (2 * n)
+        scatter, sum_sq = d2 / (2 * n), both
+    else:
+        count, whole = len(level.sums), sum(level.sums)
+        means = np.array(level.sums) / n
+        centre = round(whole / n)
+        squares, columns, rows = kernels.lines(level.total, centre)
+        sum_sq = int(squares) + 2 * centre * whole - n * centre**2
+        scatter = (level.squares * count - sum_sq) / (count * (count - 1) * n)  # whole numbers so far: exact
     variance = max((scatter - float(np.var(means, ddof=1))) * n / (n - 1), 0.0)
     drift = plain / n
     spread = max(d2 / n - drift**2, 1e-12)
-    excess = max(d4 / n / spread**2 - 3, 0.0) * 2 if abs(drift) < np.sqrt(spread) else 0.0
-    top = max(level.tops[i])
+    excess = 2 * max(d4 / n / spread**2 - 3, 0.0) if abs(drift) < np.sqrt(spread) else 0.0
+    top = max(level.tops)
     return Level(
-        dark=key[0], exposure_s=key[1], photons=key[2], frame_means_dn=means, shape=shape, variance_dn2=variance,
+        dark=key[0], exposure_s=key[1], photons=key[2], frame_means_dn=means, shape=(height, width), variance_dn2=variance,
         variance_error_dn2=variance * float(np.sqrt((excess / count + 2 / (count - 1)) / n)),
-        spatial_dn2=(sum_sq - whole**2 / n) / (n - 1) / count**2,
-        column_dn2=float(np.var(columns / (height * count), ddof=1)), row_dn2=float(np.var(rows / (width * count), ddof=1)),
+        spatial_dn2=max(float(sum_sq / n - (whole / n) ** 2), 0.0) / count**2,
+        column_dn2=float(np.var(columns / (height * count))), row_dn2=float(np.var(rows / (width * count))),
         correlation_x=(right / (height * (width - 1)) - drift**2) / spread,
         correlation_y=(below / ((height - 1) * width) - drift**2) / spread,
-        top_dn=int(top), at_top=level.tops[i][top] / (n * count))
+        top_dn=int(top), at_top=level.tops[top] / (n * count))

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import BadInput
 from .._ladder import MAX_RATE_E_PER_S, QUANTISATION_DN2
-from .._transfer import Line, line
+from .._transfer import Line, line, variance_line
 from .curve import Curve, Darks
 
 MIN_LEVELS = 3
@@ -45,7 +45,8 @@ def gain(curve: Curve) -> tuple[Figure, Line]:
     if fitted.sum() < MIN_LEVELS:
         raise BadInput(f"{fitted.sum()} light levels lie below 70 % of saturation; the gain needs {MIN_LEVELS}",
                        mend="take a ladder of about 50 (at least 9) even steps from dark to saturation, two frames each")
-    found = line(curve.signal_dn[fitted], curve.variance_dn2[fitted], np.maximum(curve.variance_error_dn2[fitted], 1e-12))
+    found = variance_line(*(values[fitted] for values in (
+        curve.signal_dn, curve.variance_dn2, np.maximum(curve.variance_error_dn2, 1e-12), curve.noise_dn2)))
     if not found.slope > 3 * found.slope_error:
         raise BadInput(f"the variance does not grow with the light (slope {found.slope:.3g} +- {found.slope_error:.2g})",
                        mend="were darks and bright frames swapped, or the frames processed or copied?")
@@ -68,8 +69,8 @@ def responsivity(curve: Curve) -> Figure:
         return Figure(None, None, "photons per pixel not stated (irradiance, or a descriptor): R and QE are left out")
     x, y = curve.light[curve.fitted], curve.signal_dn[curve.fitted]
     slope = float(x @ y / (x @ x))
-    scatter = np.sqrt(np.sum((y - slope * x) ** 2) / (len(x) - 1))
-    return Figure(slope, float(scatter / np.sqrt(x @ x)), "error without that of the irradiance, which nobody stated")
+    unseen = (y - slope * x) / (1 - x**2 / (x @ x))  # residual of each level to the slope without it
+    return Figure(slope, float(np.linalg.norm(x * unseen) / (x @ x)), "its error is without that of the irradiance")
 
 
 def dark_noise(darks: Darks) -> Figure:
@@ -146,7 +147,7 @@ def dark_current(darks: Darks, gain: Figure) -> tuple[Figure, Figure, Figure]:
         return Figure(float(darks.mean_dn[0]), float(darks.mean_error_dn[0]), remark), none, none
     remark = "" if len(t) >= 6 else f"{len(t)} exposures; the standard wants 6"
     mean = line(t, darks.mean_dn, np.maximum(darks.mean_error_dn, 1e-12))
-    variance = line(t, darks.variance_dn2, np.maximum(darks.variance_error_dn2, 1e-12))
+    variance = variance_line(t, darks.variance_dn2, np.maximum(darks.variance_error_dn2, 1e-12), darks.variance_dn2.clip(1e-12))
     current = Figure(mean.slope, mean.slope_error, remark).over(gain)
     if abs(current.value) > MAX_RATE_E_PER_S and abs(mean.slope) > 5 * mean.slope_error:
         raise BadInput(f"a mean dark current of {current.value:.3g} e-/s is absurd", mend="give exposures in seconds "
