@@ -30,13 +30,14 @@ def intrinsics(frames: Frames,
                dictionary: Annotated[str, typer.Option(help="A ChArUco board's markers, in OpenCV's words.")] = "DICT_4X4_50",
                window: Annotated[float, typer.Option(help="Half width of the corner refinement in squares, kept within "
                                                           "what the target allows.")] = 0.2,
+               skew: Annotated[bool, typer.Option("--skew", help="Also fit a skew of the image's axes.")] = False,
                map_: Map = None, map_out: MapOut = None, json_: Json = False) -> None:
     """Lens and camera matrix from views of a flat target."""
     from ..records import DISTORTION_NAMES
     if model is not None and model not in DISTORTION_NAMES:
         raise UsageError(f"no lens model '{model}'", mend=f"choose one of: {', '.join(DISTORTION_NAMES)}")
     settings = {"board": board_size(board), "square_mm": square_mm, "model": model, "target": target, "detector": detector,
-                "marker_mm": marker_mm, "dictionary": dictionary, "window": window}
+                "marker_mm": marker_mm, "dictionary": dictionary, "window": window, "skew": skew}
     _measure("intrinsics", "light", frames, settings, map_, map_out, json_)
 
 

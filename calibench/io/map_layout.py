@@ -115,7 +115,7 @@ def rebuild(meta: dict, arrays: Mapping[str, np.ndarray]) -> CalibrationMap:
         layers["intrinsics"] = Intrinsics(
             **{name: lens[name] for name in ("model", "fx_px", "fy_px", "cx_px", "cy_px", "mirrored")},
             distortion=[lens["distortion"][name] for name in DISTORTION_NAMES[lens["model"]]],
-            image_size_px=tuple(lens["image_size_px"]), covariance=arrays["INTRINSICS_COVARIANCE"])
+            image_size_px=tuple(lens["image_size_px"]), skew_px=lens.get("skew_px"), covariance=arrays["INTRINSICS_COVARIANCE"])
     if "psf" in measured:
         psf = meta["psf"]
         residual = psf["residual_rms_px2"]
@@ -163,6 +163,7 @@ def _layer(calmap: CalibrationMap, name: str) -> dict:
 def _intrinsics(lens: Intrinsics) -> dict:
     sd = np.sqrt(np.diag(lens.covariance))
     return {"model": lens.model, "fx_px": lens.fx_px, "fy_px": lens.fy_px, "cx_px": lens.cx_px, "cy_px": lens.cy_px,
+            "skew_px": lens.skew_px,
             "distortion": dict(zip(DISTORTION_NAMES[lens.model], lens.distortion, strict=True)),
             "uncertainty": dict(zip(lens.parameter_names, sd, strict=True)),
             "image_size_px": lens.image_size_px, "mirrored": lens.mirrored}

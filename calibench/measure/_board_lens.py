@@ -21,12 +21,12 @@ CHANCE_SIGMA = 2.0
 
 
 def solve(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str, *,
-          rejection: Rejection, worst_view: float) -> tuple[Solution, np.ndarray]:
+          rejection: Rejection, worst_view: float, skew_free: bool = False) -> tuple[Solution, np.ndarray]:
     """Lens, bow and poses without outlying corners and views.
 
     Args:
         corners_px: (V, P, 2), NaN where a corner was not found. worst_view: a view is dropped whose median residual exceeds
-            the median view's by this factor.
+            the median view's by this factor. skew_free: the lens has a skew.
 
     Returns:
         Solution over the kept views, and which (V,) those are.
@@ -36,7 +36,7 @@ def solve(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[in
     """
     kept = np.ones(len(corners_px), bool)
     while True:
-        first = _coarse(corners_px[kept], points_mm, image_size_px, model)
+        first = _coarse(corners_px[kept], points_mm, image_size_px, model, skew_free)
         (block,) = first.blocks
         distance = np.where(block.weight > 0, np.linalg.norm(first.residual_px, axis=-1), np.nan)
         typical = np.nanmedian(distance, axis=1)  # one wild corner is no wild view
@@ -46,14 +46,15 @@ def solve(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[in
         kept[np.flatnonzero(kept)[worst]] = False
 
 
-def _coarse(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str) -> Solution:
+def _coarse(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str,
+            skew_free: bool) -> Solution:
     """A first solution; a model of many terms starts from the one of few, where all are well determined.
 
     In a wide image the model of few terms fits best where it folds, and the way to the one of many leads through there; in
     a narrow one that way may end in a fold, and the one without folds is taken.
     """
     few = "brown4" if len(DISTORTION_NAMES[model]) > 5 else model
-    lens, boards = start(corners_px, points_mm, image_size_px, few)
+    lens, boards = start(corners_px, points_mm, image_size_px, few, skew_free=skew_free)
     boards = dataclasses.replace(boards, bow_free=len(corners_px) >= MIN_VIEWS_FOR_BOW)
     for past_fold in (True, False):
         solution = adjust(lens, [boards], tolerance=COARSE, past_fold=past_fold)
@@ -67,7 +68,7 @@ def _coarse(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[
 def with_model(lens: Intrinsics, model: str) -> Intrinsics:
     """The same lens under a model with more (or fewer) terms; covariance unknown. Terms of another family begin at zero."""
     terms = len(DISTORTION_NAMES[model])
-    unknown = np.full((4 + terms, 4 + terms), np.inf)
+    unknown = np.full((4 + terms + (lens.skew_px is not None),) * 2, np.inf)
     same = dataclasses.replace(lens, model=model, distortion=np.zeros(terms), covariance=unknown)
     if same.is_fisheye != lens.is_fisheye:
         return same
@@ -75,7 +76,7 @@ def with_model(lens: Intrinsics, model: str) -> Intrinsics:
 
 
 def held_out_px2(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str, *,
-                 rejection: Rejection, worst_view: float) -> np.ndarray:
+                 rejection: Rejection, worst_view: float, skew_free: bool = False) -> np.ndarray:
     """Mean square residual (V,) of each view over its inliers, when only its pose is fitted, to a lens from the other half.
 
     The halves are the even and the odd views. Infinite where a half does not determine the lens, or its lens has no
@@ -84,7 +85,8 @@ def held_out_px2(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: t
     out = np.empty(len(corners_px))
     for first in (0, 1):
         try:
-            lens, _ = solve(corners_px[first::2], points_mm, image_size_px, model, rejection=rejection, worst_view=worst_view)
+            lens, _ = solve(corners_px[first::2], points_mm, image_size_px, model, rejection=rejection, worst_view=worst_view,
+                            skew_free=skew_free)
             boards = posed(lens.intrinsics, corners_px[1 - first::2], points_mm, bow_mm=lens.blocks[0].bow_mm)
             unseen = without_outliers(adjust(lens.intrinsics, [boards], lens_fixed=True, tolerance=COARSE), rejection,
                                       lens_fixed=True)

@@ -46,7 +46,8 @@ class Settings:
     can see the target, until one sees all of it. marker_mm, dictionary: of a ChArUco board (`corners._target.Target`). window:
     half width of the refinement as a fraction of the local spacing, within what the target allows. outlier_sigma: corners
     farther off than this many robust sigma are dropped, at most the share `max_outliers` of them. worst_view: a view is
-    dropped whose median residual exceeds the median view's by this factor.
+    dropped whose median residual exceeds the median view's by this factor. skew: also fit one; else the axes of the image
+    stand at right angles, as they do on every sensor that is read out straight.
     """
 
     board: tuple[int, int] = (9, 6)
@@ -60,6 +61,7 @@ class Settings:
     outlier_sigma: float = 4.0
     max_outliers: float = 0.03
     worst_view: float = 4.0
+    skew: bool = False
 
 
 def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: CalibrationMap | None = None) -> Measurement:
@@ -168,7 +170,7 @@ def _choose_model(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, i
     if len(corners) < MIN_VIEWS_FOR_HALVES:
         return settings.model or CANDIDATE_MODELS[0], {}
     held_out = {model: board_lens.held_out_px2(corners, points_mm, size, model, rejection=_rejection(settings),
-                                               worst_view=settings.worst_view)
+                                               worst_view=settings.worst_view, skew_free=settings.skew)
                 for model in dict.fromkeys((*CANDIDATE_MODELS, settings.model or CANDIDATE_MODELS[0]))}
     model = settings.model or board_lens.best_model({m: held_out[m] for m in CANDIDATE_MODELS})
     return model, {m: float(np.sqrt(square.mean())) for m, square in held_out.items()}
@@ -196,7 +198,7 @@ def _robust(corners: np.ndarray, points_mm: np.ndarray, size: tuple[int, int], m
             settings: Settings) -> tuple[Solution, np.ndarray, np.ndarray]:
     """Solution, inlier corners (of the kept views) and kept views (V,)."""
     solution, kept = board_lens.solve(corners, points_mm, size, model, rejection=_rejection(settings),
-                                      worst_view=settings.worst_view)
+                                      worst_view=settings.worst_view, skew_free=settings.skew)
     return solution, solution.blocks[0].weight > 0, kept
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,7 +26,9 @@ class Intrinsics:
     """Lens model and camera matrix. Pixel (0, 0) is the centre of the top-left pixel.
 
     distortion: (n,) in OpenCV's order for `model` (see DISTORTION_NAMES).
-    covariance: (4 + n, 4 + n) of (fx, fy, cx, cy, distortion...), random and systematic together; infinite where unknown.
+    skew_px: change of the column over the focal length along y; None: the axes stand at right angles and it is no parameter.
+    covariance: (P, P) of the parameters (fx, fy, cx, cy, distortion..., skew where it is one), random and systematic together;
+    infinite where unknown.
     """
 
     model: str
@@ -38,26 +40,37 @@ class Intrinsics:
     image_size_px: tuple[int, int]
     covariance: np.ndarray
     mirrored: bool = False
+    skew_px: float | None = None
 
     def __post_init__(self) -> None:
         if self.model not in DISTORTION_NAMES:
             raise BadInput(f"lens model '{self.model}' is none of {', '.join(DISTORTION_NAMES)}")
         n = len(DISTORTION_NAMES[self.model])
+        p = 4 + n + (self.skew_px is not None)
         settle(self,
                distortion=frozen(self.distortion, name="Intrinsics.distortion", shape=(n,), dtype=float),
-               covariance=frozen(self.covariance, name="Intrinsics.covariance", shape=(4 + n, 4 + n), dtype=float),
+               covariance=frozen(self.covariance, name="Intrinsics.covariance", shape=(p, p), dtype=float),
                image_size_px=(int(self.image_size_px[0]), int(self.image_size_px[1])))
         if not (self.fx_px > 0 and self.fy_px > 0):
             raise BadInput(f"focal lengths must be positive, got fx {self.fx_px}, fy {self.fy_px}")
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        return ("fx_px", "fy_px", "cx_px", "cy_px", *DISTORTION_NAMES[self.model])
+        return ("fx_px", "fy_px", "cx_px", "cy_px", *DISTORTION_NAMES[self.model],
+                *(() if self.skew_px is None else ("skew_px",)))
 
     @property
     def parameters(self) -> np.ndarray:
-        """(4 + n,) values in the order of `parameter_names`."""
-        return np.array([self.fx_px, self.fy_px, self.cx_px, self.cy_px, *self.distortion])
+        """(P,) values in the order of `parameter_names`."""
+        skew = () if self.skew_px is None else (self.skew_px,)
+        return np.array([self.fx_px, self.fy_px, self.cx_px, self.cy_px, *self.distortion, *skew])
+
+    def at(self, parameters: np.ndarray) -> Intrinsics:
+        """The lens with other values (P,) of its parameters."""
+        fx, fy, cx, cy, *rest = parameters.tolist()
+        n = len(self.distortion)
+        skew = {"skew_px": rest[n]} if self.skew_px is not None else {}
+        return replace(self, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, distortion=np.array(rest[:n]), **skew)
 
     @property
     def is_fisheye(self) -> bool:
@@ -67,7 +80,7 @@ class Intrinsics:
     @property
     def camera_matrix(self) -> np.ndarray:
         """(3, 3) pinhole matrix in OpenCV's layout."""
-        return np.array([[self.fx_px, 0, self.cx_px], [0, self.fy_px, self.cy_px], [0, 0, 1.0]])
+        return np.array([[self.fx_px, self.skew_px or 0.0, self.cx_px], [0, self.fy_px, self.cy_px], [0, 0, 1.0]])
 
     @classmethod
     def pinhole(cls, *, focal_px: float, image_size_px: tuple[int, int], focal_sd_px: float = np.inf) -> Intrinsics:

@@ -34,12 +34,13 @@ def measurement_json(measurement: Measurement) -> dict:
 
 def _lens_json(measurement: Measurement) -> dict:
     lens = measurement.intrinsics
-    names = [*lens.parameter_names[:4], *DISTORTION_NAMES[lens.model]]
+    names = lens.parameter_names
     classical = measurement.evidence["uncertainty_classical"]
     values = {q.name: q.value for q in measurement.quantities}
     counts = {n: int(values[n]) for n in ("views_given", "views_used", "points", "outliers")}
     bow = [values[f"board_bow_{axis}_mm"] for axis in "xy"] if "board_bow_x_mm" in values else None
     return {"model": lens.model, "fx_px": lens.fx_px, "fy_px": lens.fy_px, "cx_px": lens.cx_px, "cy_px": lens.cy_px,
+            "skew_px": lens.skew_px,
             "distortion": dict(zip(DISTORTION_NAMES[lens.model], lens.distortion.tolist(), strict=True)),
             "uncertainty": {n: finite(s) for n, s in zip(names, np.sqrt(np.diag(lens.covariance)), strict=True)},
             "uncertainty_classical": {n: finite(s) for n, s in zip(names, classical, strict=False)},

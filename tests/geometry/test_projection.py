@@ -1,3 +1,5 @@
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -15,6 +17,10 @@ def lens(model: str, mirrored: bool = False) -> Intrinsics:
     terms = FISHEYE if model == "fisheye4" else TERMS[:n]
     return Intrinsics(model=model, fx_px=1416.7, fy_px=1420.1, cx_px=370.2, cy_px=244.9, distortion=terms,
                       image_size_px=(752, 480), covariance=np.eye(4 + n), mirrored=mirrored)
+
+
+def skewed() -> Intrinsics:
+    return dataclasses.replace(lens("rational8", mirrored=True), skew_px=2.5, covariance=np.eye(13))
 
 
 def directions(n: int = 200) -> np.ndarray:
@@ -98,3 +104,23 @@ def test_a_fisheye_sees_past_ninety_degrees_up_to_its_fold():
     assert np.isfinite(projection.project(folded, np.array(at))).tolist() == [[True, True], [False, False]]
     with pytest.raises(BadInput, match="cannot be inverted"):
         projection.unproject(folded, np.array([[320 + 300 * 0.9, 240.0]]))
+
+
+def test_a_skew_slants_the_columns_inverts_and_has_its_derivative():
+    i, v = skewed(), directions()
+    straight = dataclasses.replace(i, skew_px=None, covariance=np.eye(12))
+    at = projection.project(straight, v)
+    slant = (at[:, 1] - i.cy_px) / i.fy_px * 2.5
+    np.testing.assert_allclose(projection.project(i, v), at + np.column_stack([slant, 0 * slant]), atol=1e-9)
+    unit = v / np.linalg.norm(v, axis=1, keepdims=True)
+    np.testing.assert_allclose(projection.unproject(i, projection.project(i, v)), unit, atol=1e-12)
+    _, by_v, by_parameters = projection.project_with_jacobian(i, v)
+    assert i.parameter_names[-1] == "skew_px" and by_parameters.shape[2] == 13
+    for k, p in enumerate(i.parameters):
+        h = 1e-6 * max(1, abs(p)) * np.eye(13)[k]
+        there, back = (projection.project(i.at(i.parameters + s * h), v) for s in (1, -1))
+        np.testing.assert_allclose(by_parameters[:, :, k], (there - back) / (2 * h[k]), atol=1e-4)
+    for k in range(3):
+        h = 1e-6 * np.eye(3)[k]
+        difference = (projection.project(i, v + h) - projection.project(i, v - h)) / 2e-6
+        np.testing.assert_allclose(by_v[:, :, k], difference, atol=1e-3)

@@ -19,6 +19,7 @@ from calibench.records import (
     Intrinsics,
     Limit,
     Measurement,
+    Observer,
     Provenance,
     PsfMap,
     Quantity,
@@ -26,7 +27,6 @@ from calibench.records import (
     StarTable,
     Verdict,
 )
-from calibench.records.sky import Observer
 from calibench.report.build import SECTIONS, build_report
 from calibench.report.story import ShotStory, SkyStory, Story
 from calibench.stars.sky_catalogue import SkyCatalogue
@@ -59,6 +59,9 @@ def lens_measurement(rng: np.random.Generator) -> Measurement:
                   "corners_view": np.repeat(np.arange(4), 30), "corners_board_mm": np.tile(board_mm, (4, 1)),
                   "held_out_rms_by_model_px": np.array([0.09, 0.06, np.inf]),
                   "uncertainty_classical": np.full(11, 0.1), "view_rms_px": np.array([0.04, 0.05, 0.06, 0.31]),
+                  "view_left_out_rms_px": np.array([0.05, 0.06, 0.07, 0.33]), "view_effect_sd": np.array([0.1, 0.2, 0.3, 1.5]),
+                  "worst_views": np.array([3, 2]), "worst_views_picture": np.zeros((2, 32, 48), np.uint8),
+                  "training_rms_by_model_px": np.array([0.08, 0.05, np.nan]),
                   "coverage_count": np.histogram2d(*corners.T[::-1], bins=(6, 8), range=((0, H), (0, W)))[0].astype(int)},
         provenance=Provenance(inputs={"boards/a.png": "ab" * 32},
                               settings={"board": (9, 6), "views": ("b/v1.png", "b/v2.png", "b/v3.png", "b/blurred.png")}))
@@ -245,8 +248,9 @@ def test_views_are_listed_from_the_worst_with_where_the_board_stood(story):
     section = registry.load(SECTIONS, "intrinsics").render(story)
     (views,) = (t for t in section.tables if t.title.startswith("Views"))
     assert [row[0] for row in views.rows] == ["blurred", "v3", "v2", "v1"]
-    assert views.rows[0][1:6] == ("30", "0", "0.310", "1", "11.5")  # 0.2 rad
-    assert views.rows[3][1:3] == ("27", "3") and views.rows[3][5:] == ("0.0", "300")
+    assert views.rows[0][6:8] == ("1.5", "11.5")
+    assert views.rows[0][1:6] == ("30", "0", "0.310", "1", "0.330")  # 0.2 rad
+    assert views.rows[3][1:3] == ("27", "3") and views.rows[3][7:] == ("0.0", "300")
     (stood,) = (f for f in section.figures if f.title.startswith("Where the board stood"))
     assert "worst view, blurred" in stood.reading and "0.0 to 28.6 degrees" in stood.reading
 
@@ -254,8 +258,8 @@ def test_views_are_listed_from_the_worst_with_where_the_board_stood(story):
 def test_held_out_rms_stands_beside_the_training_rms(story):
     section = registry.load(SECTIONS, "intrinsics").render(story)
     (held_out,) = (t for t in section.tables if t.title.startswith("Training"))
-    assert held_out.rows == (("brown4", "–", "0.09000", "1.500"), ("brown5 (used)", "0.05000", "0.06000", "1"),
-                             ("rational8", "–", "–", "–"))
+    assert held_out.rows == (("brown4", "0.08000", "0.09000", "1.125", "1.500"),
+                             ("brown5 (used)", "0.05000", "0.06000", "1.200", "1"), ("rational8", *4 * ("–",)))
     assert "1.20 times the training rms" in held_out.note
 
 

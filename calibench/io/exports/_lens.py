@@ -17,7 +17,7 @@ def measured_lens(calmap: CalibrationMap, path: Path | str) -> Intrinsics:
     """The map's intrinsics.
 
     Raises:
-        BadInput: they were not measured, or are mirrored, which the formats of other programs cannot say.
+        BadInput: they were not measured, or are mirrored or skewed, which the formats of other programs cannot say.
     """
     if "intrinsics" not in calmap.measured:
         raise BadInput("the map has no intrinsics to export", file=path,
@@ -25,6 +25,9 @@ def measured_lens(calmap: CalibrationMap, path: Path | str) -> Intrinsics:
     if calmap.intrinsics.mirrored:
         raise BadInput("the map's intrinsics are mirrored, and this format has no word for it", file=path,
                        mend="flip the frames when they are read out, and measure the intrinsics on those")
+    if calmap.intrinsics.skew_px is not None:
+        raise BadInput(f"the map's intrinsics have a skew of {calmap.intrinsics.skew_px:.4g} px, and this format has no "
+                       "word for it", file=path, mend="measure the intrinsics without --skew")
     return calmap.intrinsics
 
 

@@ -9,7 +9,6 @@ Time and memory grow linearly with the number of views.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -214,7 +213,7 @@ def _moved(state: _State, shared: np.ndarray, poses: list[np.ndarray], lens_fixe
         p = lens.parameters + shared[:len(lens.parameters)]
         if not (np.isfinite(p).all() and p[0] > 0 and p[1] > 0):
             return None
-        lens = dataclasses.replace(lens, fx_px=p[0], fy_px=p[1], cx_px=p[2], cy_px=p[3], distortion=p[4:])
+        lens = lens.at(p)
     own = [shared[n.shared[n.shared >= len(lens.parameters)]] for n in state.normals]
     blocks = tuple(b.moved(o, p) for b, o, p in zip(state.blocks, own, poses, strict=True))
     return _state(lens, blocks, lens_fixed, past_fold=past_fold)

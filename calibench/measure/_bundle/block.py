@@ -93,8 +93,16 @@ def _fill(block: Block, lens: Intrinsics, rows: np.ndarray, residual: np.ndarray
     for i, (by_x, by_y) in enumerate(by_terms, start=4):
         np.multiply(scale_x, by_x, out=rows[:, i, 0])
         np.multiply(scale_y, by_y, out=rows[:, i, 1])
-    block.fill(rows[:, 4 + len(by_terms):-1], xyz, (tuple(scale_x * d for d in by_v[0]), tuple(scale_y * d for d in by_v[1])))
-    np.subtract(block.xy_px[..., 0], lens.fx_px * x + lens.cx_px, out=residual[:, 0])
+    across, column = by_v[0], x
+    if lens.skew_px is not None:
+        slant = lens.skew_px / lens.fx_px  # column = fx (x' + slant y') + cx
+        for i, (_, by_y) in enumerate(by_terms, start=4):
+            rows[:, i, 0] += lens.skew_px * weight * by_y
+        rows[:, 4 + len(by_terms)] = 0
+        np.multiply(weight, y, out=rows[:, 4 + len(by_terms), 0])
+        across, column = tuple(by_x + slant * by_y for by_x, by_y in zip(*by_v, strict=True)), x + slant * y
+    block.fill(rows[:, len(lens.parameters):-1], xyz, (tuple(scale_x * d for d in across), tuple(scale_y * d for d in by_v[1])))
+    np.subtract(block.xy_px[..., 0], lens.fx_px * column + lens.cx_px, out=residual[:, 0])
     np.subtract(block.xy_px[..., 1], lens.fy_px * y + lens.cy_px, out=residual[:, 1])
     np.multiply(residual, weight[:, None], out=rows[:, -1])
     if not np.isfinite(rows[:, -1].sum()):

@@ -20,11 +20,12 @@ LEAST_COSINE = 0.1
 TILT = "tilt the board by 20 to 45 degrees about both axes, differently in each view"
 
 
-def start(xy_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str) -> tuple[Intrinsics, Boards]:
+def start(xy_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str, *,
+          skew_free: bool = False) -> tuple[Intrinsics, Boards]:
     """Lens without distortion, and the boards before it.
 
     Args:
-        xy_px: (V, P, 2), NaN where a point was not found. points_mm: (P, 3), a plane z = 0.
+        xy_px: (V, P, 2), NaN where a point was not found. points_mm: (P, 3), a plane z = 0. skew_free: the lens has a skew.
 
     Raises:
         BadInput: the homographies allow no focal length.
@@ -33,7 +34,8 @@ def start(xy_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, in
     fx, fy = _focal_lengths(_homographies(xy_px - centre, points_mm), LONGEST_FOCAL * max(image_size_px))
     terms = len(DISTORTION_NAMES[model])
     lens = Intrinsics(model=model, fx_px=fx, fy_px=fy, cx_px=centre[0], cy_px=centre[1], distortion=np.zeros(terms),
-                      image_size_px=image_size_px, covariance=np.full((4 + terms, 4 + terms), np.inf))
+                      image_size_px=image_size_px, covariance=np.full((4 + terms + skew_free,) * 2, np.inf),
+                      skew_px=0.0 if skew_free else None)
     return lens, posed(lens, xy_px, points_mm)
 
 

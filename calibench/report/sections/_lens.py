@@ -35,8 +35,9 @@ def _ideal_rays(lens: Intrinsics, xy_px: np.ndarray) -> np.ndarray:
 
     Without terms a fisheye is equidistant (the radius is the angle), the other models are pinholes (it is the tangent).
     """
-    x = (xy_px[:, 0] - lens.cx_px) / lens.fx_px
-    x, y = -x if lens.mirrored else x, (xy_px[:, 1] - lens.cy_px) / lens.fy_px
+    y = (xy_px[:, 1] - lens.cy_px) / lens.fy_px
+    x = (xy_px[:, 0] - lens.cx_px - (lens.skew_px or 0.0) * y) / lens.fx_px
+    x = -x if lens.mirrored else x
     if not lens.is_fisheye:
         return np.column_stack([x, y, np.ones(len(xy_px))])
     angle = np.hypot(x, y)
@@ -94,7 +95,7 @@ def _radial_curve(lens: Intrinsics) -> Figure:
     radius, rays, xy, by_parameter = radius[seen], rays[seen], xy[seen], by_parameter[seen]
     angle = np.degrees(np.arctan2(rays[:, 0], rays[:, 2]))
     shift = xy[:, 0] - lens.cx_px - lens.fx_px * radius
-    terms = [i for i, name in enumerate(lens.parameter_names[4:], start=4) if name not in SIDEWAYS]
+    terms = [i for i, name in enumerate(DISTORTION_NAMES[lens.model], start=4) if name not in SIDEWAYS]
     slope = by_parameter[:, 0, terms]
     covariance = lens.covariance[np.ix_(terms, terms)]
     error = np.sqrt(np.einsum("ni,ij,nj->n", slope, covariance, slope)) if _errors_known(lens) else None

@@ -152,7 +152,9 @@ def worst(measurement: Measurement) -> Figure | None:
                         width=0.006)
             axes.plot(*xy[here].T, ".", color=colour, markersize=3)
     return Figure(title=f"The worst views, residuals drawn ×{number(scale, 2)}", png=png(made), wide=True,
-                  reading=sentence("dots: corners found, arrows: measured minus projected, orange: left out",
+                  reading=sentence(f"the {len(chosen)} of largest rms among {plural(len(evidence['view_rms_px']), 'view')}, "
+                                   f"longest residual {number(np.hypot(*residual[shown].T).max(), 2)} px",
+                                   "dots: corners found, arrows: measured minus projected, orange: left out",
                                    "arrows in swirls: a bent board or blur; at random: noise; a few long ones: something "
                                    "covers the board"))
 
