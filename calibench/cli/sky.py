@@ -15,14 +15,15 @@ Identify = Annotated[str, typer.Option(help="Identification method.")]
 AttitudeName = Annotated[str, typer.Option("--attitude", help="Attitude method.")]
 Detector = Annotated[str, typer.Option(help="Spot detector.")]
 Centroid = Annotated[str, typer.Option(help="Centroid method.")]
-KSigma = Annotated[float, typer.Option(help="Detection threshold in sigma of the local noise.", min=1.0)]
+KSigma = Annotated[float | None, typer.Option(help="Detection threshold in sigma, in place of --false-alarms.", min=1.0)]
+FalseAlarms = Annotated[float, typer.Option(help="False spots a frame that noise may give.", min=1e-6)]
 
 
 def solve(frames: Frames, map_: Map = None,
           fov_deg: Annotated[float | None, typer.Option(help="Horizontal field, degrees, to 10 %; without a map.",
                                                         min=0.5, max=120)] = None,
-          identify: Identify = "pattern", attitude: AttitudeName = "quest", detector: Detector = "components",
-          centroid: Centroid = "gaussian", k_sigma: KSigma = 5.0,
+          identify: Identify = "pattern", attitude: AttitudeName = "quest", detector: Detector = "scan",
+          centroid: Centroid = "poisson", k_sigma: KSigma = None, false_alarms: FalseAlarms = 1.0,
           station: Annotated[str | None, typer.Option(help="Place or velocity, air, shutter: a TOML file, or its keys written "
                                                            "out: 'latitude_deg = 48.2; longitude_deg = 16.4'.")] = None,
           json_: Json = False) -> None:
@@ -34,7 +35,7 @@ def solve(frames: Frames, map_: Map = None,
     from ..io.station import read_station
     from ..session.results import solved_json
     from ..session.sky import Sky, solve_files
-    settings = _settings(detector, centroid, attitude, identify, k_sigma)
+    settings = _settings(detector, centroid, attitude, identify, k_sigma, false_alarms)
     calmap = read_map(map_) if map_ else None
     lens_known = calmap is not None and "intrinsics" in calmap.measured
     _check_scale(identify, lens_known or fov_deg is not None)
@@ -56,13 +57,15 @@ def solve(frames: Frames, map_: Map = None,
     raise typer.Exit(0 if all(frame["status"] == "solved" for frame in out) else 1)
 
 
-def _settings(detector: str, centroid: str, attitude: str, identify: str, k_sigma: float) -> dict:
+def _settings(detector: str, centroid: str, attitude: str, identify: str, k_sigma: float | None,
+              false_alarms: float) -> dict:
     """Checked before any frame is read: a mistyped method is a usage error at once."""
     from .. import registry
     for folder, name in (("spots.detect", detector), ("spots.centroid", centroid), ("stars.attitude", attitude),
                          ("stars.identify", identify)):
         registry.load(f"calibench.{folder}", name)
-    return {"detector": detector, "centroider": centroid, "attitude_method": attitude, "k_sigma": k_sigma}
+    return {"detector": detector, "centroider": centroid, "attitude_method": attitude, "k_sigma": k_sigma,
+            "false_alarms": false_alarms}
 
 
 def _check_scale(identify: str, scale_known: bool) -> None:
@@ -89,8 +92,8 @@ def validate(frames: Frames,
              truth: Annotated[Path | None, typer.Option(help="truth.toml of a rendered session; without it the residual of the "
                                                              "matched stars is the measure.")] = None,
              trial: Annotated[str, typer.Option(help="Which trial.")] = "ablation", identify: Identify = "pattern",
-             attitude: AttitudeName = "quest", detector: Detector = "components", centroid: Centroid = "gaussian",
-             k_sigma: KSigma = 5.0, json_: Json = False) -> None:
+             attitude: AttitudeName = "quest", detector: Detector = "scan", centroid: Centroid = "poisson",
+             k_sigma: KSigma = None, false_alarms: FalseAlarms = 1.0, json_: Json = False) -> None:
     """What each layer of a map earns, in arcseconds, on sky frames."""
     from .. import registry
     from ..calmap.conditions import outside_conditions
@@ -100,7 +103,7 @@ def validate(frames: Frames,
     from ..session.results import trial_json
     from ..session.sky import Sky
     from ..validate.case import SkyCase
-    settings = _settings(detector, centroid, attitude, identify, k_sigma)
+    settings = _settings(detector, centroid, attitude, identify, k_sigma, false_alarms)
     module = registry.load("calibench.validate.trials", trial)
     calmap, sky = read_map(map_), Sky(method=identify)
     _check_scale(identify, "intrinsics" in calmap.measured)

@@ -9,7 +9,7 @@ import numpy as np
 from .arrays import frozen, settle
 from .intrinsics import Intrinsics
 
-SPOT_FLAGS: dict[str, int] = {"saturated": 1, "edge": 2, "defect": 4, "blend": 8, "trail": 16, "fit_failed": 32}
+SPOT_FLAGS: dict[str, int] = {"saturated": 1, "edge": 2, "defect": 4, "blend": 8, "trail": 16, "fit_failed": 32, "cosmic": 64}
 STATUSES = ("solved", "no_match", "too_few_spots", "rejected")
 
 

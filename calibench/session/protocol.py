@@ -93,11 +93,12 @@ class LimitTable(_Table):
 class SolveTable(_Table):
     """[solve]: which methods the sky wing uses."""
 
-    detector: str = "components"
-    centroid: str = "gaussian"
+    detector: str = "scan"
+    centroid: str = "poisson"
     identify: str = "pattern"
     attitude: str = "quest"
-    k_sigma: float = Field(default=5.0, gt=1, lt=100)
+    false_alarms: float = Field(default=1.0, gt=0, lt=1e6)
+    k_sigma: float | None = Field(default=None, gt=1, lt=100)
 
     @field_validator("detector", "centroid", "identify", "attitude")
     @classmethod

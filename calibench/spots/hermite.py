@@ -4,9 +4,9 @@ The light before the pixel is, about the spot's centre, a core and its wings,
 
     P(x, y) = sum_nm c_nm h_n(x/s) h_m(y/s) g(x/s) g(y/s) / s^2  +  the same to order 2 with a wider scale,
 
-g the normal density, h_n = He_n / sqrt(n!) Hermite's polynomials of probability. From d(He_n-1 g)/dx = -He_n g the integral over
-a pixel is a difference at its two edges, so that the basis is exact at any pixel phase and any sharpness, and the light before
-the pixel is known as well. Flux and first moment are c_00 and s (c_10, c_01): kept at 1 and 0 by construction
+g the normal density, h_n = He_n / sqrt(n!) Hermite's polynomials of probability. From d(He_n-1 g)/dx = -He_n g the integral
+over a pixel is a difference at its two edges, so that the basis is exact at any pixel phase and any sharpness, and the light
+before the pixel is known as well. Flux and first moment are c_00 and s (c_10, c_01): kept at 1 and 0 by construction
 (`free_functions`), they make the series' centre the centre of mass of its light.
 """
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..geometry import projection, rotation, sphere
 from ..records import Attitude, CalibrationMap, CorrectedFrame, Identification, Intrinsics, Observer, PsfMap, Spots
-from ..spots.find import find_spots
+from ..spots.find import FALSE_ALARMS, find_spots
 from .astrometry import as_observed
 from .frame_attitude import attitude_without_outliers, spot_weights
 from .lens_error import systematic
@@ -78,9 +78,10 @@ class Solver:
 
     finder: LostInSpace
     attitude_method: str = "quest"
-    detector: str = "components"
-    centroider: str = "gaussian"
-    k_sigma: float = 5.0
+    detector: str = "scan"
+    centroider: str = "poisson"
+    k_sigma: float | None = None
+    false_alarms: float = FALSE_ALARMS
     familiar: dict[tuple[int, int], Intrinsics] = field(default_factory=dict)
 
     def solve(self, corrected: CorrectedFrame, lens: Lens, observer: Observer | None = None) -> Solution:
@@ -92,7 +93,8 @@ class Solver:
         size = corrected.signal_dn.shape[::-1]
         clock = [perf_counter()]
         spots = find_spots(corrected, lens.psf or PsfMap.unknown(size), psf_known=lens.psf is not None,
-                           detector=self.detector, centroider=self.centroider, k_sigma=self.k_sigma)
+                           detector=self.detector, centroider=self.centroider, k_sigma=self.k_sigma,
+                           false_alarms=self.false_alarms)
         clock.append(perf_counter())
         found = self.finder.identify(spots, size, lens=lens.intrinsics, fov_rad=lens.fov_rad, familiar=self.familiar.get(size))
         found = replace(found, file=corrected.file)

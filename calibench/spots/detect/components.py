@@ -11,11 +11,18 @@ import numpy as np
 from scipy import ndimage
 
 from ..candidates import Candidates
+from ..false_alarms import NoiseLaw
 
+OWN_K_SIGMA = 5.0
 SMOOTH_SIGMA_PX = 1.0
 FEWEST_PIXELS = 3
 LARGEST_FRACTION = 2e-3  # of the frame's area; beyond it: a roof, a moon, a cloud
 SHARPEST = 0.85  # of the 3x3 signal in one pixel: a hot pixel, unless the optics are sharper than any star camera's
+
+
+def threshold(noise_dn: np.ndarray, unusable: np.ndarray, false_alarms: float, law: NoiseLaw) -> float:
+    """Threshold in sigma: its own 5 sigma of the smoothed noise, whatever was asked: about 0.1 a Mpixel on normal noise."""
+    return OWN_K_SIGMA
 
 
 def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, k_sigma: float) -> Candidates:
@@ -27,9 +34,7 @@ def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, k_
     noise_gain = np.sqrt((ndimage.gaussian_filter(impulse, SMOOTH_SIGMA_PX, truncate=3) ** 2).sum())
     labels, count = ndimage.label(smooth > k_sigma * noise_gain, structure=np.ones((3, 3)))
     if count == 0:
-        empty = np.zeros(0)
-        return Candidates(xy_px=np.zeros((0, 2)), peak_xy=np.zeros((0, 2), int), peak_dn=empty, flux_dn=empty,
-                          pixels=np.zeros(0, int), elongation=empty)
+        return Candidates.none()
     y, x = np.nonzero(labels)
     owner = labels[y, x] - 1
     light = np.maximum(np.where(unusable, 0.0, signal_dn)[y, x], 1e-6)
@@ -51,4 +56,4 @@ def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, k_
     near_peak = np.hypot(cx - px, cy - py) < 1.5
     xy = np.stack([np.where(near_peak, cx, px), np.where(near_peak, cy, py)], -1)
     return Candidates(xy_px=xy[keep], peak_xy=np.stack([px, py], -1)[keep], peak_dn=around.max(0)[keep], flux_dn=flux[keep],
-                      pixels=pixels[keep], elongation=elongation[keep])
+                      pixels=pixels[keep], elongation=elongation[keep], blend=np.zeros(keep.sum(), bool))

@@ -1,0 +1,215 @@
+"""Compiled: one pass over a frame against its threshold map, and the growth of a spot around each peak."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from ...kernels import compiled
+
+# A Gaussian of 0.85 px over 3x3 pixels: within 15 % of the best signal-to-noise for stars of 0.4 to 1.5 px.
+SIDE = 0.5006
+CORNER = SIDE**2
+WEIGHT_SUM, WEIGHT_NORM = (1 + 2 * SIDE) ** 2, 1 + 2 * SIDE**2
+SEED_SIGMA = 3.0  # a spot's brightest pixel is above this
+SHARPEST = 0.85  # of the light of 3x3 pixels in one: a hot pixel or a particle, sharper than the optics of any star camera
+CELL_PX = 64  # in which the sky's drift since the threshold map was made is followed
+GROW_SIGMA = 2.5  # a spot's pixels: connected to its peak and above this
+CONTRAST_SIGMA, CONTRAST = 4.0, 0.1  # a second peak stands out of the saddle by this many sigma, and this part of itself
+LEAST_TO_JUDGE = 6  # fewer pixels tell no elongation
+COLUMNS = 11  # of what grow gives
+
+
+@compiled
+def score_at(data, expected, noise, level, y, x):
+    """Signal-to-noise of the best-matching faint star centred in pixel (x, y): sum(w r / v) / sqrt(sum(w^2 / v)) over the
+    usable ones of 3x3 pixels, r = data - expected - level * noise; and the part of their light that is in the centre."""
+    h, w = data.shape
+    shift = level[y // CELL_PX, x // CELL_PX]
+    top = bottom = light = centre = 0.0
+    for j in range(max(y - 1, 0), min(y + 2, h)):
+        for i in range(max(x - 1, 0), min(x + 2, w)):
+            e = expected[j, i]
+            if e == e:
+                sigma = noise[j, i]
+                r = data[j, i] - e - shift * sigma
+                weight = (1.0 if i == x else SIDE) * (1.0 if j == y else SIDE)
+                top += weight * r / (sigma * sigma)
+                bottom += weight * weight / (sigma * sigma)
+                light += max(r, 0.0)
+                if i == x and j == y:
+                    centre = r
+    return (top / sqrt(bottom) if bottom > 0 else 0.0), (centre / light if light > 0 else 1.0)
+
+
+@compiled
+def _promising(data, seed, blocked, sigma, y, x, least):
+    """Whether (x, y) is farthest of its 3x3 above the thresholds (of equal ones the first), and may score above `least`."""
+    own = float(data[y, x]) - float(seed[y, x])
+    total, whole = own, True
+    for j in range(3):
+        for i in range(3):
+            if j == 1 and i == 1:
+                continue
+            there = seed[y + j - 1, x + i - 1]
+            whole &= there != blocked
+            excess = float(data[y + j - 1, x + i - 1]) - float(there)
+            if excess > own or (excess == own and 3 * j + i < 4):
+                return False
+            weight = CORNER if (j + i) % 2 == 0 else SIDE
+            total += weight * max(excess, -2 * SEED_SIGMA * sigma)
+    # Generous by one sigma, by the rounding of the thresholds, and where a pixel is not used.
+    return not whole or total > ((least - 1.0) * WEIGHT_NORM - SEED_SIGMA * WEIGHT_SUM) * sigma - WEIGHT_SUM
+
+
+@compiled
+def scan(data, seed, blocked, expected, noise, coarse, level, least, most):
+    """Peaks of a frame: pixels above their seed threshold, the highest of their 3x3, where the matched filter gives
+    more than `least` sigma and the light is not all in one pixel.
+
+    data, seed: (H, W) of one type; seed is expected + SEED_SIGMA * noise, or `blocked` where a pixel is not used. expected,
+    noise: (H, W) float32, expected NaN where a pixel is not used. coarse, level: cells
+    of CELL_PX: the noise in DN, and the sky's drift since in sigma.
+
+    Returns:
+        rows and columns (N,) int64, scores (N,), in reading order, N at most `most`.
+    """
+    h, w = data.shape
+    rows, columns, scores = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    above = np.zeros((w + 63) // 64 * 64, np.bool_)
+    eight = above.view(np.uint64)
+    waiting, ready = np.empty(w, np.int64), np.empty(w, np.int64)
+    waits = count = 0
+    for y in range(h):
+        row, threshold = data[y], seed[y]
+        for x in range(w):  # this loop alone touches every pixel; it compiles to vector compares
+            above[x] = row[x] > threshold[x]
+        waiting, ready = ready, waiting
+        is_ready, waits = waits, 0
+        for k in range(0, len(eight), 8):
+            if (eight[k] | eight[k + 1] | eight[k + 2] | eight[k + 3]
+                    | eight[k + 4] | eight[k + 5] | eight[k + 6] | eight[k + 7]):
+                for m in range(k, k + 8):
+                    if eight[m]:
+                        for x in range(max(8 * m, 1), min(8 * m + 8, w - 1)):
+                            if above[x]:
+                                waiting[waits] = x
+                                waits += 1
+        for n in range(is_ready if y > 1 else 0):  # of the row before: its neighbours are in the cache by now
+            x = ready[n]
+            if _promising(data, seed, blocked, coarse[(y - 1) // CELL_PX, x // CELL_PX], y - 1, x, least):
+                score, sharpness = score_at(data, expected, noise, level, y - 1, x)
+                if score > least and sharpness < SHARPEST and count < most:
+                    rows[count], columns[count], scores[count] = y - 1, x, score
+                    count += 1
+    return rows[:count].copy(), columns[:count].copy(), scores[:count].copy()
+
+
+@compiled
+def _stands_out(data, expected, noise, level, y, x, score, other_y, other_x, gain):
+    """Whether a peak is separated by a real saddle from a brighter one of the same spot."""
+    steps = max(abs(other_y - y), abs(other_x - x))
+    lowest = score
+    for k in range(1, steps):
+        j, i = round(y + (other_y - y) * k / steps), round(x + (other_x - x) * k / steps)
+        lowest = min(lowest, score_at(data, expected, noise, level, j, i)[0])
+    sigma = noise[y, x]
+    shot = gain * max(data[y, x] - expected[y, x], 0.0) / (sigma * sigma)
+    return score - lowest > max(CONTRAST_SIGMA * sqrt(1.0 + shot), CONTRAST * score)
+
+
+@compiled
+def _flood(data, expected, noise, level, labels, lowest, label, y, x, stack, largest):
+    """Labels the pixels connected to (x, y); their number, also when it is beyond `largest` (the rest is left then)."""
+    h, w = data.shape
+    stack[0] = y * w + x
+    labels[y, x] = label
+    count, done = 1, 0
+    while done < count and count <= largest:
+        j0, i0 = stack[done] // w, stack[done] % w
+        done += 1
+        for j in range(max(j0 - 1, 0), min(j0 + 2, h)):
+            for i in range(max(i0 - 1, 0), min(i0 + 2, w)):
+                e = expected[j, i]
+                if labels[j, i] < lowest and e == e:
+                    if data[j, i] - e > (GROW_SIGMA + level[j // CELL_PX, i // CELL_PX]) * noise[j, i]:
+                        labels[j, i] = label
+                        stack[count] = j * w + i
+                        count += 1
+    return count
+
+
+@compiled
+def _shape(data, expected, noise, level, stack, count, y, x, row):
+    """Fills x, y, peak, flux, pixels, elongation of one spot from its pixels; the place is the mass of its brighter half."""
+    w = data.shape[1]
+    peak = 0.0
+    for k in range(count):
+        j, i = stack[k] // w, stack[k] % w
+        peak = max(peak, data[j, i] - expected[j, i] - level[j // CELL_PX, i // CELL_PX] * noise[j, i])
+    flux = mx = my = core = cx = cy = sxx = syy = sxy = 0.0
+    for k in range(count):
+        j, i = stack[k] // w, stack[k] % w
+        r = max(data[j, i] - expected[j, i] - level[j // CELL_PX, i // CELL_PX] * noise[j, i], 1e-6)
+        dx, dy = float(i - x), float(j - y)
+        flux, mx, my = flux + r, mx + r * dx, my + r * dy
+        sxx, syy, sxy = sxx + r * dx * dx, syy + r * dy * dy, sxy + r * dx * dy
+        if 2 * r > peak:
+            core, cx, cy = core + r, cx + r * dx, cy + r * dy
+    mx, my = mx / flux, my / flux
+    sxx, syy, sxy = sxx / flux - mx * mx + 1 / 12, syy / flux - my * my + 1 / 12, sxy / flux - mx * my
+    half, root = (sxx + syy) / 2, sqrt(((sxx - syy) / 2) ** 2 + sxy * sxy)
+    row[0], row[1] = (x + cx / core, y + cy / core) if core > 0 else (float(x), float(y))
+    row[2], row[3], row[4] = peak, flux, count
+    row[5] = sqrt((half + root) / max(half - root, 1e-3)) if count >= LEAST_TO_JUDGE else 1.0
+
+
+@compiled
+def grow(data, expected, noise, level, rows, columns, scores, gain, largest, labels, lowest):
+    """Spots around peaks given brightest first. labels: (H, W) int32 to work in, all below `lowest`; afterwards below
+    lowest + N.
+
+    Returns:
+        (N, COLUMNS): x, y, peak DN, flux DN, pixels, elongation, peak x, peak y, score, blend (1 or 0), row of the first spot
+        of the same connected light. A further peak within the light of a brighter one is a spot of its own where a saddle
+        separates them, both marked as blend; else it is that one's wing. Connected light of more than `largest` pixels is
+        no star and is left out.
+    """
+    h, w = data.shape
+    stack = np.empty(largest + 16, np.int64)
+    out = np.zeros((len(rows), COLUMNS))
+    owner = np.zeros(len(rows), np.int64)  # of a label: its first spot, -1 where it is no star
+    count = labelled = 0
+    for n in range(len(rows)):
+        y, x = rows[n], columns[n]
+        if labels[y, x] < lowest:
+            size = _flood(data, expected, noise, level, labels, lowest, lowest + labelled, y, x, stack, largest)
+            owner[labelled] = count if size <= largest else -1
+            labelled += 1
+            if size > largest:
+                continue
+            _shape(data, expected, noise, level, stack, size, y, x, out[count])
+            out[count, 6], out[count, 7], out[count, 8], out[count, 10] = x, y, scores[n], count
+            count += 1
+            continue
+        first = owner[labels[y, x] - lowest]
+        if first < 0:
+            continue
+        alone = True
+        for k in range(first, count):
+            if out[k, 10] == first and alone:
+                alone = _stands_out(data, expected, noise, level, y, x, scores[n], int(out[k, 7]), int(out[k, 6]), gain)
+        if alone:
+            stack[0], near = y * w + x, 1
+            for j in range(max(y - 1, 0), min(y + 2, h)):
+                for i in range(max(x - 1, 0), min(x + 2, w)):
+                    if (j != y or i != x) and labels[j, i] == labels[y, x]:
+                        stack[near] = j * w + i
+                        near += 1
+            _shape(data, expected, noise, level, stack, near, y, x, out[count])
+            out[count, 6], out[count, 7], out[count, 8], out[count, 10] = x, y, scores[n], first
+            out[count, 5] = out[first, 5] = 1.0
+            out[count, 9] = out[first, 9] = 1.0
+            count += 1
+    return out[:count].copy()

@@ -1,0 +1,57 @@
+"""The fast default: one compiled pass against a threshold map, then growth around each peak.
+
+1. A pixel above its own threshold (local background + SEED_SIGMA local noise; never, where it is a defect) is looked at.
+2. It is a peak where it is the highest of its 3x3, the matched filter of a faint star about it gives more than k sigma, and
+   the light is not all in one pixel (a hot pixel, a particle). k follows from the asked number of false alarms a frame
+   (spots/false_alarms.py).
+3. The spot is what is connected to the peak above GROW_SIGMA. A second peak in it is a spot of its own where a saddle
+   separates the two (both are a blend); else it is the first one's wing. Light that covers too much of the frame is no star.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..candidates import Candidates
+from ..false_alarms import NoiseLaw, k_for_false_alarms
+from ..threshold_map import ThresholdMap, threshold_map
+from . import kernels
+
+LARGEST_FRACTION, LARGEST_AT_LEAST = 2e-3, 100  # of the frame's area, pixels; beyond: a roof, a moon, a cloud
+MOST_PEAKS = 20_000  # the first of the frame; it is full of something else than stars
+
+
+def threshold(noise_dn: np.ndarray, unusable: np.ndarray, false_alarms: float, law: NoiseLaw) -> float:
+    """Threshold in sigma at which noise alone gives `false_alarms` spots a frame."""
+    return k_for_false_alarms(_flat(noise_dn, unusable), false_alarms, law)
+
+
+def _flat(noise_dn: np.ndarray, unusable: np.ndarray) -> ThresholdMap:
+    """Threshold map of a frame whose background is subtracted."""
+    return threshold_map(np.where(unusable, np.float32(np.nan), np.float32(0)), noise_dn, np.float32)
+
+
+def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, k_sigma: float) -> Candidates:
+    """Spots of a background-subtracted frame (H, W), local noise (H, W), unusable pixels (H, W) bool."""
+    return candidates_on(np.ascontiguousarray(signal_dn, np.float32), _flat(noise_dn, unusable), k_sigma)
+
+
+def candidates_on(data: np.ndarray, thresholds: ThresholdMap, k_sigma: float, *, drift: np.ndarray | None = None,
+                  gain_dn_per_e: float = 0.0, labels: np.ndarray | None = None, lowest: int = 1) -> Candidates:
+    """Spots of a frame (H, W) of the threshold map's type, brightest first.
+
+    drift: the sky's change since the map was made, per cell, in sigma. gain_dn_per_e: for the shot noise of a saddle.
+    labels, lowest: (H, W) int32 to work in, all below `lowest` (of a series, to save the making); afterwards below lowest
+    + MOST_PEAKS.
+    """
+    scene = (data, thresholds.expected_dn, thresholds.noise_dn, thresholds.no_drift if drift is None else drift)
+    rows, columns, scores = kernels.scan(data, thresholds.seed_dn, thresholds.blocked, *scene[1:3], thresholds.coarse_dn,
+                                         scene[3], float(k_sigma), MOST_PEAKS)
+    if len(rows) == 0:
+        return Candidates.none()
+    order = np.argsort(-scores, kind="stable")
+    labels = np.zeros(data.shape, np.int32) if labels is None else labels
+    largest = max(int(LARGEST_FRACTION * data.size), LARGEST_AT_LEAST)
+    found = kernels.grow(*scene, rows[order], columns[order], scores[order], float(gain_dn_per_e), largest, labels, lowest)
+    return Candidates(xy_px=found[:, :2], peak_xy=found[:, 6:8].astype(int), peak_dn=found[:, 2], flux_dn=found[:, 3],
+                      pixels=found[:, 4].astype(int), elongation=found[:, 5], blend=found[:, 9] > 0)

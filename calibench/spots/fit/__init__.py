@@ -1,0 +1,1 @@
+"""The photon-weighted fit of a Gaussian of known shape, compiled."""
