@@ -15,7 +15,7 @@ import numpy as np
 from ..circles import brightest_groups, unique_rows
 from ..code_table import CodeTable
 from ..sky_catalogue import SkyCatalogue
-from ..view import View
+from ..view import CALIBRATED_MISFIT, View
 from . import kernels
 
 # Circles in parts of the half diagonal, and the stars taken of each. The large one gives long triangles; the small one reaches
@@ -24,7 +24,8 @@ CIRCLES = ((1.0, 9), (0.6, 9))
 KEY_STEP = 0.05  # of the half diagonal: like cameras share one table
 CELL = 1 / 250  # of the half diagonal: some pixels
 ABERRATION = 1e-4  # a table is of the sky at rest; the Earth's motion changes an angle by this part of it at most
-BATCHES = (5, 7, 10, 14, 20, 27)  # triples of the brightest spots first
+BATCHES = (5, 7, 10, 14, 20)  # triples of the brightest spots first
+WIDE_BATCHES = BATCHES[:4]  # through a lens that has drifted, where a question costs ten times as much
 
 
 def sides(corners: np.ndarray) -> np.ndarray:
@@ -60,7 +61,7 @@ def triples(done: int, last: int) -> np.ndarray:
 def propose(view: View, sky: SkyCatalogue, table: CodeTable) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Correspondences (B, 3) spot rows, (B, 3) star rows, in batches, the brightest spots' first."""
     done = 0
-    for last in BATCHES:
+    for last in BATCHES if view.scale_slack <= CALIBRATED_MISFIT else WIDE_BATCHES:
         last = min(last, len(view.directions))
         if last > done:
             codes, tolerance, corners = kernels.triangle_questions(view.directions, view.sigma_rad,
