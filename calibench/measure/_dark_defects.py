@@ -72,8 +72,7 @@ def find_defects(ladder: Ladder, quiet: DarkLevel | None, rules: Rules, fetch: F
     threshold = null.threshold(z.size, rules.false_alarms)
     significant = z > threshold
     hot = significant & (deviation > rules.limit)
-    noisy = np.zeros_like(hot) if quiet is None else defect.noisy(
-        quiet.variance_dn2, quiet.freedom, rules.false_alarms, rules.noise_factor)
+    noisy = _noisy(ladder, quiet, deviation, rules)
     stuck = _stuck(ladder, hot, rules)
     unsteady, evidence = _unsteady(ladder, significant & ~stuck, rules, fetch)
     noisy |= unsteady["hit"]
@@ -133,6 +132,22 @@ def _stuck(ladder: Ladder, hot: np.ndarray, rules: Rules) -> np.ndarray:
     return stuck
 
 
+def _noisy(ladder: Ladder, quiet: DarkLevel | None, deviation: np.ndarray, rules: Rules) -> np.ndarray:
+    """Too much temporal noise at the shortest exposure; at the longest, where the gain is known, beyond a hot pixel's shot noise
+    too, which is how a hit by a particle or an unsteady dark current shows."""
+    if quiet is None:
+        return np.zeros(deviation.shape, bool)
+    by = {"expected": rules.false_alarms, "factor": rules.noise_factor}
+    noisy = defect.noisy(quiet.variance_dn2, quiet.freedom, **by)
+    longest = ladder.levels[-1]
+    if ladder.rate_dn_per_s is not None and longest.freedom and np.isfinite(rules.dn_per_e):
+        typical = defect.typical_noise(longest.variance_dn2, longest.freedom)
+        dark_dn = np.maximum(deviation, 0) * np.float32(longest.exposure_s)
+        steady = longest.variance_dn2 * np.float32(typical) / (np.float32(typical) + np.float32(rules.dn_per_e) * dark_dn)
+        noisy |= defect.noisy(steady, longest.freedom, **by)
+    return noisy
+
+
 def _unsteady(ladder: Ladder, significant: np.ndarray, rules: Rules, fetch: Fetch) -> tuple[dict, dict]:
     """Telegraph pixels, and hits: significant pixels that most frames do not confirm. Telegraph signals are looked for where
     there are most frames and at the longest exposure, hits at the longest, where they count most."""
@@ -162,13 +177,14 @@ def _unsteady(ladder: Ladder, significant: np.ndarray, rules: Rules, fetch: Fetc
 
 
 def _nonlinear(ladder: Ladder, rules: Rules) -> np.ndarray:
-    """Pixels whose level departs from their own line at some exposure, significantly and by a share of their dark signal."""
+    """Pixels whose level departs from their own line at some exposure: significantly, by a share of their dark signal there, and
+    by more than the noise of one frame."""
     found = np.zeros(ladder.offset_dn.shape, bool)
     if ladder.rate_dn_per_s is None or len(ladder.levels) < 3:
         return found
-    longest = max(ladder.exposure_s)
-    signal = np.abs(ladder.rate_dn_per_s) * np.float32(longest * rules.nonlinear)
-    for _, departure, variance in ladder.departures():
+    noise = np.float32(np.sqrt(defect.typical(ladder.variance_dn2[0])))
+    for t, departure, variance in ladder.departures():
+        matters = np.maximum(np.abs(ladder.rate_dn_per_s) * np.float32(t * rules.nonlinear), noise)
         departure = departure - defect.typical(departure)  # what all pixels do together is the sensor's, not the pixel's
         spread = 1.4826 * defect.typical(np.abs(departure))
         excess = np.maximum(variance - np.float32(defect.typical(variance)), 0) + np.float32(spread**2 + QUANTISATION_DN2)
@@ -176,7 +192,7 @@ def _nonlinear(ladder: Ladder, rules: Rules) -> np.ndarray:
         sample = _sample(z)
         for side in (1, -1):
             threshold = fit_null(side * sample).threshold(z.size, rules.false_alarms / (2 * len(ladder.levels)))
-            found |= (side * z > threshold) & (np.abs(departure) > signal)
+            found |= (side * z > threshold) & (np.abs(departure) > matters)
     return found
 
 

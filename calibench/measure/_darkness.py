@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
-from scipy import ndimage
 
 from ..errors import BadInput
 from ..records import Frame
 from ..spots.background import background_and_noise
-from ._defects import BLOCK_PX
+from ._glance import glance
 
 MAX_LEVEL = 0.5  # of the range: beyond it no dark
 MAX_SATURATED = 0.01
 MAX_STRUCTURE = 0.05  # of the range between dim and bright blocks; amplifier glow stays below
 MAX_STRUCTURE_OF_LEVEL, MAX_STRUCTURE_DN = 0.1, 30.0  # of the level itself, but at least these DN, where the range is not known
 MAX_EQUAL = 0.9  # of the pixels at one value: a picture without noise is no picture of the dark
-# A hot pixel keeps its light to itself (0.9 of its 3x3), a star or a pinhole shares it (0.3 to 0.5).
-WIDE = 0.65
+# A hot pixel keeps its light to itself (0.95 of the 3 pixels about it), a star or a pinhole shares it (0.5 to 0.7) both along
+# the row and along the column. A hot column shares it along the column alone.
+WIDE = 0.8
 BRIGHT_SIGMA = 20.0
 MOST_WIDE, MOST_WIDE_SHARE = 8, 0.15
+SAMPLE_PX = 100_000
 PROBED_PX = 1024  # the middle of a large frame is enough
 MEND = "cap the lens, close the room; were the folders swapped? If it is dark all the same, state bit_depth in a sidecar"
 
@@ -39,33 +39,50 @@ def check_dark(frame: Frame) -> None:
 def _why_not(frame: Frame) -> str | None:
     if frame.kind in ("flat", "light"):
         return f"this frame says that it is a {frame.kind} frame, not a dark"
-    white, level = frame.white_level_dn, float(np.median(frame.data))
-    saturated = float(np.mean(frame.data >= white))
+    seen, sample = glance(frame), _sample(frame.data)
+    white, level = frame.white_level_dn, float(np.median(sample))
+    saturated = seen.saturated(white)
     if level > MAX_LEVEL * white:
         return f"no dark frame: its level is {level:.0f} DN of {white:.0f}"
     if saturated > MAX_SATURATED:
         return f"no dark frame: {100 * saturated:.1f} % of the pixels are saturated"
-    if frame.range_assumed and level > 0 and np.mean(frame.data == level) > MAX_EQUAL:
+    if frame.range_assumed and level > 0 and np.mean(sample == level) > MAX_EQUAL:
         return f"no dark frame: nearly every pixel is at {level:.0f} DN, which is the end of its range or no picture at all"
-    w, h = (max(1, round(n / BLOCK_PX)) for n in frame.image_size_px)
-    blocks = cv2.resize(frame.data.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA)
-    low, high = np.percentile(blocks, (2, 98))
+    low, high = np.percentile(seen.blocks_dn, (2, 98))
     guess = max(MAX_STRUCTURE_OF_LEVEL * level, MAX_STRUCTURE_DN)
     if high - low > min(MAX_STRUCTURE * white, guess if frame.range_assumed else np.inf):
         return f"no dark frame: its level runs from {low:.0f} to {high:.0f} DN over the image, light comes in"
-    wide, peaks = wide_peaks(frame.data)
+    middle = _middle(frame.data)
+    steps = np.abs(np.diff(sample.astype(np.float32), axis=1))  # of neighbours in the sample: a gradient does not count
+    noise = 1.4826 / np.sqrt(2) * float(np.median(steps)) if steps.size else 0.0
+    if np.count_nonzero(middle > seen.blocks_dn.min() + BRIGHT_SIGMA / 2 * noise) <= MOST_WIDE:
+        return None  # too few bright pixels for so many points, wherever the background is lowest
+    wide, peaks = wide_peaks(middle)
     if wide > MOST_WIDE and wide > MOST_WIDE_SHARE * peaks:
         return f"no dark frame: {wide} of its {peaks} bright points are wider than a pixel, as stars and pinholes are"
     return None
 
 
-def wide_peaks(data: np.ndarray) -> tuple[int, int]:
-    """How many bright local maxima share their light with their neighbours, and how many bright maxima there are."""
+def _sample(data: np.ndarray) -> np.ndarray:
+    """Every so many rows and columns: SAMPLE_PX pixels give the median to 1 % of the noise."""
+    step = max(1, int(np.sqrt(data.size / SAMPLE_PX)))
+    return data[::step, ::step]
+
+
+def _middle(data: np.ndarray) -> np.ndarray:
     y, x = (max(0, (n - PROBED_PX) // 2) for n in data.shape)
-    middle = data[y:y + PROBED_PX, x:x + PROBED_PX].astype(np.float32)
+    return data[y:y + PROBED_PX, x:x + PROBED_PX]
+
+
+def wide_peaks(middle: np.ndarray) -> tuple[int, int]:
+    """How many bright local maxima share their light with their neighbours, and how many bright maxima there are."""
+    middle = middle.astype(np.float32)
     background, noise = background_and_noise(middle)
     signal = middle - background
-    peak = (signal == ndimage.maximum_filter(signal, 3)) & (signal > BRIGHT_SIGMA * noise) & (middle < middle.max())
-    around = 9 * ndimage.uniform_filter(np.maximum(signal, 0), 3)
-    own = signal[peak] / around[peak]
+    rows, columns = np.nonzero((signal > BRIGHT_SIGMA * noise) & (middle < middle.max()))
+    around = np.pad(signal, 1, mode="symmetric")
+    patch = np.stack([around[rows + i, columns + j] for i in range(3) for j in range(3)]).reshape(3, 3, -1)
+    patch = patch[..., patch[1, 1] == patch.max(axis=(0, 1))]
+    lit = np.maximum(patch, 0)
+    own = np.maximum(patch[1, 1] / lit[1].sum(axis=0), patch[1, 1] / lit[:, 1].sum(axis=0))
     return int(np.count_nonzero(own < WIDE)), len(own)
