@@ -49,7 +49,10 @@ class FrameSeen:
                                    shift_bits=bits, notes=(note,))
 
     def settle(self, frame: Frame) -> Frame:
-        """The frame, read anew, as the series' checks settled it."""
+        """The frame, read anew, as the series' checks settled it; the same object where they left it as it was."""
+        settled = self.bit_depth, self.white_level_dn, self.notes
+        if settled == (frame.bit_depth, frame.white_level_dn, frame.notes):
+            return frame
         data = frame.data >> self.shift_bits if self.shift_bits else frame.data
         return dataclasses.replace(frame, data=data, bit_depth=self.bit_depth, white_level_dn=self.white_level_dn,
                                    notes=self.notes)
@@ -57,16 +60,19 @@ class FrameSeen:
 
 def seen(frame: Frame) -> FrameSeen:
     """What a series' checks ask of this frame."""
-    import cv2
+    figures = {"level_dn": float("nan"), "noise_dn": float("nan")}
+    if frame.kind in ("dark", "flat"):  # what claims nothing of its light is not asked for its level
+        from ..measure._glance import glance  # loads compiled code, which other frames do not need
 
-    data = frame.data
-    lit = frame.kind in ("dark", "flat")  # what claims nothing of its light is not asked for its level
+        figures |= {"level_dn": glance(frame).level_dn, "largest_dn": glance(frame).largest}
+    else:
+        figures["largest_dn"] = frame.data.max().item()
+    if frame.kind == "dark":
+        figures["noise_dn"] = _noise_dn(frame.data)
     said = {name: getattr(frame, name) for name in (
         "name", "kind", "image_size_px", "bit_depth", "white_level_dn", "exposure_s", "temperature_c", "gain_setting",
         "bayer_pattern", "camera", "range_assumed", "sha256", "notes")}
-    return FrameSeen(**said, dtype=str(data.dtype), level_dn=cv2.mean(data)[0] if lit else float("nan"),
-                     largest_dn=data.max().item(), noise_dn=_noise_dn(data) if frame.kind == "dark" else float("nan"),
-                     left_bits=_left_bits(frame))
+    return FrameSeen(**said, **figures, dtype=str(frame.data.dtype), left_bits=_left_bits(frame))
 
 
 def _left_bits(frame: Frame) -> int:

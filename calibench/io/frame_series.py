@@ -61,7 +61,8 @@ class FrameSeries:
             yield from (self._seen[path].settle(frame) for path, frame in self._frames())
 
     def _needs_foresight(self) -> bool:
-        return any(frame.range_assumed for _, frame in islice(self._frames(), 1))
+        frames = (frame for frame in map(self._one, self._paths) if isinstance(frame, Frame))
+        return any(frame.range_assumed for frame in islice(frames, 1))
 
     def _survey(self) -> None:
         found = {path: seen(frame) for path, frame in self._frames()}

@@ -8,6 +8,8 @@ import logging
 import math
 from pathlib import Path
 
+import numpy as np
+
 from ...errors import BadInput
 from ..sidecar import Sidecar
 from ._exif import exif_of
@@ -38,7 +40,9 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
         page = pages[0]
         _check(page, raw, file)
         try:
-            picture = page.asarray()
+            picture = _in_place(page, raw)
+            if picture is None:
+                picture = page.asarray()
         except ValueError as error:
             if "imagecodecs" not in str(error):
                 raise
@@ -50,6 +54,22 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
     if isinstance(bits, int) and bits not in (8, 16, 32, 64):
         header = dataclasses.replace(header, bit_depth=bits)
     return Reading(data=frame_values(data, file=file), header=header, notes=(*notes, *exif_notes))
+
+
+def _in_place(page: object, raw: bytes) -> np.ndarray | None:
+    """The plain pixels of an uncompressed image where they lie in the file; None where they do not lie there as they are.
+
+    The strips of such an image nearly always follow one another, and copying them costs more than reading the file.
+    """
+    byte_order = page.parent.byteorder
+    start, counts = page.dataoffsets[0], page.databytecounts
+    together = all(a + n == b for a, n, b in zip(page.dataoffsets, counts, page.dataoffsets[1:], strict=False))
+    plain = (page.compression == 1 and page.predictor == 1 and page.fillorder == 1 and not page.is_tiled
+             and page.shape == (page.imagelength, page.imagewidth) and page.dtype in ("uint8", "uint16")
+             and page.bitspersample == 8 * page.dtype.itemsize)
+    if not (plain and together and sum(counts) == page.nbytes):
+        return None
+    return np.frombuffer(raw, page.dtype.newbyteorder(byte_order), math.prod(page.shape), start).reshape(page.shape)
 
 
 def _check(page: object, raw: bytes, file: Path) -> None:
