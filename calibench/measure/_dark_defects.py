@@ -133,8 +133,8 @@ def _stuck(ladder: Ladder, hot: np.ndarray, rules: Rules) -> np.ndarray:
 
 
 def _noisy(ladder: Ladder, quiet: DarkLevel | None, deviation: np.ndarray, rules: Rules) -> np.ndarray:
-    """Too much temporal noise at the shortest exposure; at the longest, where the gain is known, beyond a hot pixel's shot noise
-    too, which is how a hit by a particle or an unsteady dark current shows."""
+    """Too much temporal noise at the shortest exposure; at the longest too, beyond a hot pixel's shot noise, where the gain is
+    known: so a hit by a particle or an unsteady dark current shows."""
     if quiet is None:
         return np.zeros(deviation.shape, bool)
     by = {"expected": rules.false_alarms, "factor": rules.noise_factor}
@@ -177,8 +177,8 @@ def _unsteady(ladder: Ladder, significant: np.ndarray, rules: Rules, fetch: Fetc
 
 
 def _nonlinear(ladder: Ladder, rules: Rules) -> np.ndarray:
-    """Pixels whose level departs from their own line at some exposure: significantly, by a share of their dark signal there, and
-    by more than the noise of one frame."""
+    """Pixels whose level departs from their own line at some exposure: significantly, by a share of their dark signal there,
+    and by more than the noise of one frame."""
     found = np.zeros(ladder.offset_dn.shape, bool)
     if ladder.rate_dn_per_s is None or len(ladder.levels) < 3:
         return found

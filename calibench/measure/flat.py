@@ -13,17 +13,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..calmap.clusters import with_clusters
 from ..errors import BadInput
 from ..records import CalibrationMap, Frame, Measurement, Quantity
-from . import _nonuniformity as spatial
 from ._dark_levels import DarkLevel, DarkLevels
 from ._darkness import check_dark
-from ._defects import flags, planes, typical
+from ._defects import defective_lines, flags, planes, typical
+from ._dust import find_dust
+from ._flat_figures import NEED_A_LADDER, Level, gain_quantities, prnu
 from ._illumination import illumination
 from ._ladder import Ladder, fit
 from ._ledger import Ledger
 from ._stack import Accumulator
-from ._transfer import MAX_FILL, TransferPoint, gain
+from ._transfer import MAX_FILL, TransferPoint
 
 SAME_LEVEL = 0.05  # frames of one exposure whose means differ by less belong to one light level
 RIGHT_FILL = 0.5
@@ -40,36 +42,6 @@ class Settings:
     saturated: float = 0.01
     dead: float = 0.2
     cold: float = 0.8
-
-
-@dataclass(frozen=True, kw_only=True)
-class Level:
-    """Flats of one exposure and one light: mean and temporal variance (None: a single flat), (H, W) float32; the mean of each
-    frame; the dark below them (image, variance of it, where from); the share of saturated pixels."""
-
-    exposure_s: float | None
-    mean_dn: np.ndarray
-    variance_dn2: np.ndarray | None
-    freedom: int
-    levels_dn: np.ndarray
-    dark_dn: np.ndarray
-    dark_variance_dn2: np.ndarray
-    dark_origin: str
-    saturated: float
-
-    @property
-    def count(self) -> int:
-        return len(self.levels_dn)
-
-    @property
-    def signal_dn(self) -> np.ndarray:
-        """(H, W) mean flat minus dark."""
-        return self.mean_dn - self.dark_dn
-
-
-NEED_A_LADDER = tuple(Quantity(name=name, value=None, unit=unit, source="EMVA 1288 release 4", reason=(
-    "needs a photon transfer series from dark to saturation, not flats of one level")) for name, unit in (
-        ("saturation_e", "e-"), ("dynamic_range_db", "dB"), ("snr_max", "1"), ("linearity_error_percent", "%")))
 
 
 def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: CalibrationMap | None = None) -> Measurement:
@@ -103,10 +75,12 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     smooth = illumination(best.signal_dn, first.bayer_pattern)
     response, uncertainty = _response(best, smooth, first.bayer_pattern)
     dead, cold = response < settings.dead, (response >= settings.dead) & (response < settings.cold)
+    row, column = defective_lines(dead | cold)
+    dust = find_dust(response, dead | cold)
     points = [_point(v, ladder, calmap) for v in levels if v.freedom and _fill(v, first) < MAX_FILL]
     points = [p for p in points if p is not None]
-    gain_quantities = _gain(points)
-    layers = {"gain_dn_per_e": gain_quantities[0].value} if gain_quantities[0].value else {}
+    gains = gain_quantities(points)
+    layers = {"gain_dn_per_e": gains[0].value} if gains[0].value else {}
     if any(v.saturated > 0.5 for v in levels):
         layers["saturation_dn"] = float(first.white_level_dn)
     w, h = first.image_size_px
@@ -114,16 +88,19 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     return Measurement(
         name="flat", image_size_px=(w, h), layers=layers,
         maps={"response": response, "response_uncertainty": uncertainty, "illumination": smooth,
-              "defects": flags((h, w), dead=dead, cold=cold)},
-        quantities=(*gain_quantities, *_prnu(best, first.bayer_pattern), Quantity(
+              "defects": with_clusters(flags((h, w), dead=dead, cold=cold, row=row, column=column))},
+        quantities=(*gains, *prnu(best, first.bayer_pattern), Quantity(
             name="illumination_fall_off_percent", value=float(100 * (1 - smooth.min())), unit="%",
-            source="smooth part of the flat, darkest against brightest; lamp and lens together"), *NEED_A_LADDER),
+            source="smooth part of the flat, darkest against brightest; lamp and lens together"), Quantity(
+                name="dust_shadows", value=len(dust.depth), unit="1", reason="a count",
+                source="compact dips of the response, 5 px and wider, 4 robust sigma and 0.3 % deep"), *NEED_A_LADDER),
         evidence={"transfer_signal_dn": np.array([p.signal_dn for p in points]),
                   "transfer_variance_dn2": np.array([p.variance_dn2 for p in points]),
                   "transfer_variance_uncertainty_dn2": np.array([p.variance_uncertainty_dn2 for p in points]),
                   "level_exposure_s": np.array([np.nan if v.exposure_s is None else v.exposure_s for v in levels]),
                   "level_mean_dn": np.array([v.levels_dn.mean() for v in levels]),
                   "level_saturated": np.array([v.saturated for v in levels]),
+                  "dust_xy_px": dust.xy_px, "dust_diameter_px": dust.diameter_px, "dust_depth": dust.depth,
                   "response_histogram_count": counts, "response_histogram_edge": edges},
         provenance=ledger.provenance(), warnings=_warnings(ledger, levels, best, first, settings),
         frames_used=sum(v.count for v in usable) + sum(v.count for v in (ladder.levels if ladder else ())),
@@ -235,48 +212,6 @@ def _point(level: Level, ladder: Ladder | None, calmap: CalibrationMap | None) -
         return None
     return TransferPoint(signal_dn=float(np.mean(level.signal_dn)), variance_dn2=variance - dark,
                          variance_uncertainty_dn2=float(relative * np.hypot(variance, dark)))
-
-
-def _gain(points: list[TransferPoint]) -> tuple[Quantity, Quantity]:
-    source = "photon transfer, EMVA 1288 R4 Linear 6.6"
-    value = error = None
-    reason = "" if points else "needs two flats of a level and the temporal noise of the darks"
-    if points:
-        value, error, how = gain(points)
-        source = f"{source}: {how}"
-        if not value > 0:
-            reason = f"the variance does not grow with the light ({value:.3g} DN/e-): processed frames?"
-            value = error = None
-    inverse = 1 / value if value else None
-    inverse_error = error * inverse**2 if value else None
-    said = {"source": source, "reason": reason}
-    return (Quantity(name="gain_dn_per_e", symbol="K", unit="DN/e-", value=value, uncertainty=error, **said),
-            Quantity(name="gain_e_per_dn", symbol="1/K", unit="e-/DN", value=inverse, uncertainty=inverse_error, **said))
-
-
-def _prnu(level: Level, bayer_pattern: str | None) -> list[Quantity]:
-    """PRNU raw, release 4 and core, in % of the signal; the mean variance over the Bayer planes."""
-    out = []
-    for kind, function, text in (("raw", spatial.spatial_raw, "no high-pass, all pixels: lamp fall-off and dust included"),
-                                 ("1288", spatial.spatial_1288, "EMVA 1288 R4 Linear 8, high-passed, all pixels"),
-                                 ("core", spatial.spatial_core, "high-passed, interquartile range")):
-        name = f"prnu_{kind}_percent"
-        if not level.freedom:
-            out.append(Quantity(name=name, value=None, unit="%", symbol="PRNU", source=text,
-                                reason="one flat only: temporal noise unknown"))
-            continue
-        parts = []
-        for plane in planes(level.dark_dn.shape, bayer_pattern):
-            temporal = float(np.mean(level.variance_dn2[plane])) / level.count
-            bright = function(level.mean_dn[plane], temporal)
-            dark = function(level.dark_dn[plane], float(np.mean(level.dark_variance_dn2[plane])))
-            parts.append(spatial.difference(bright, dark, float(np.mean(level.signal_dn[plane]))))
-        found = spatial.pooled(parts)
-        percent2 = 1e4 * found.signed_variance
-        note = "" if percent2 >= 0 else f"negative variance estimate {percent2:.3g} %^2, given as 0"
-        out.append(Quantity(name=name, value=100 * found.sd, uncertainty=100 * found.uncertainty, unit="%", symbol="PRNU",
-                            source=text, reason=note))
-    return out
 
 
 def _warnings(ledger: Ledger, levels: list[Level], best: Level, first: Frame, settings: Settings) -> tuple[str, ...]:

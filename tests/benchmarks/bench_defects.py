@@ -1,4 +1,4 @@
-"""Defects: recall and false alarms over hot fractions, with and without a glow; telegraph pixels; time and memory. `make bench`.
+"""Defects: recall and false alarms over hot fractions, with and without a glow; telegraph pixels. `make bench`.
 
 1 Mpx, read noise 4 e-, DSNU 2 e-, dark current 5 e-/s with a lognormal spread of 15 %, hot rates exponential with a mean of
 60 e-/s, 20 darks at each of 0.1, 1 and 5 s; the glow adds up to 10 e- in the longest exposure along x.

@@ -1,0 +1,83 @@
+"""The figures of flats: gain by photon transfer, and nonuniformity of the response in its three forms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..records import Quantity
+from . import _nonuniformity as spatial
+from ._defects import planes
+from ._transfer import TransferPoint, gain
+
+NEED_A_LADDER = tuple(Quantity(name=name, value=None, unit=unit, source="EMVA 1288 release 4", reason=(
+    "needs a photon transfer series from dark to saturation, not flats of one level")) for name, unit in (
+        ("saturation_e", "e-"), ("dynamic_range_db", "dB"), ("snr_max", "1"), ("linearity_error_percent", "%")))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """Flats of one exposure and one light: mean and temporal variance (None: a single flat), (H, W) float32; the mean of each
+    frame; the dark below them (image, variance of it, where from); the share of saturated pixels."""
+
+    exposure_s: float | None
+    mean_dn: np.ndarray
+    variance_dn2: np.ndarray | None
+    freedom: int
+    levels_dn: np.ndarray
+    dark_dn: np.ndarray
+    dark_variance_dn2: np.ndarray
+    dark_origin: str
+    saturated: float
+
+    @property
+    def count(self) -> int:
+        return len(self.levels_dn)
+
+    @property
+    def signal_dn(self) -> np.ndarray:
+        """(H, W) mean flat minus dark."""
+        return self.mean_dn - self.dark_dn
+
+
+def gain_quantities(points: list[TransferPoint]) -> tuple[Quantity, Quantity]:
+    source = "photon transfer, EMVA 1288 R4 Linear 6.6"
+    value = error = None
+    reason = "" if points else "needs two flats of a level and the temporal noise of the darks"
+    if points:
+        value, error, how = gain(points)
+        source = f"{source}: {how}"
+        if not value > 0:
+            reason = f"the variance does not grow with the light ({value:.3g} DN/e-): processed frames?"
+            value = error = None
+    inverse = 1 / value if value else None
+    inverse_error = error * inverse**2 if value else None
+    said = {"source": source, "reason": reason}
+    return (Quantity(name="gain_dn_per_e", symbol="K", unit="DN/e-", value=value, uncertainty=error, **said),
+            Quantity(name="gain_e_per_dn", symbol="1/K", unit="e-/DN", value=inverse, uncertainty=inverse_error, **said))
+
+
+def prnu(level: Level, bayer_pattern: str | None) -> list[Quantity]:
+    """PRNU raw, release 4 and core, in % of the signal; the mean variance over the Bayer planes."""
+    out = []
+    for kind, function, text in (("raw", spatial.spatial_raw, "no high-pass, all pixels: lamp fall-off and dust included"),
+                                 ("1288", spatial.spatial_1288, "EMVA 1288 R4 Linear 8, high-passed, all pixels"),
+                                 ("core", spatial.spatial_core, "high-passed, interquartile range")):
+        name = f"prnu_{kind}_percent"
+        if not level.freedom:
+            out.append(Quantity(name=name, value=None, unit="%", symbol="PRNU", source=text,
+                                reason="one flat only: temporal noise unknown"))
+            continue
+        parts = []
+        for plane in planes(level.dark_dn.shape, bayer_pattern):
+            temporal = float(np.mean(level.variance_dn2[plane])) / level.count
+            bright = function(level.mean_dn[plane], temporal)
+            dark = function(level.dark_dn[plane], float(np.mean(level.dark_variance_dn2[plane])))
+            parts.append(spatial.difference(bright, dark, float(np.mean(level.signal_dn[plane]))))
+        found = spatial.pooled(parts)
+        percent2 = 1e4 * found.signed_variance
+        note = "" if percent2 >= 0 else f"negative variance estimate {percent2:.3g} %^2, given as 0"
+        out.append(Quantity(name=name, value=100 * found.sd, uncertainty=100 * found.uncertainty, unit="%", symbol="PRNU",
+                            source=text, reason=note))
+    return out
