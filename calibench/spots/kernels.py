@@ -129,11 +129,11 @@ def to_pixels(cells, cell, height, width):
 
 @fast
 def drift(data, expected, noise, cell, every):
-    """How far a frame (H, W) lies above the expectation, from every `every`-th row: per cell the mean of (data - expected) /
-    noise within the clip, and its mean square over the frame as part of a Gaussian's.
+    """How far a frame (H, W) lies above the expectation, from every `every`-th row.
 
     Returns:
-        level (rows, columns), NaN where less than an eighth of the sample counts; mean square.
+        per cell, smoothed with its neighbours, the mean of (data - expected) / noise within the clip (rows, columns); the mean
+        square of it over the frame, as part of a Gaussian's.
     """
     h, w = data.shape
     rows, columns = (h + cell - 1) // cell, (w + cell - 1) // cell
@@ -152,8 +152,13 @@ def drift(data, expected, noise, cell, every):
             level[y // cell, c] += total
             count[y // cell, c] += n
             squares += square
-    used = max(count.sum(), np.float32(1))
-    for r in range(rows):
+    smooth, square = np.zeros((rows, columns)), squares / max(count.sum(), np.float32(1)) / np.float32(INSIDE_CLIP**2)
+    for r in range(rows):  # each cell with its neighbours, by their numbers of pixels
         for c in range(columns):
-            level[r, c] = level[r, c] / count[r, c] if count[r, c] * every * 8 >= cell * cell else np.nan
-    return level, squares / used / np.float32(INSIDE_CLIP**2)
+            total = number = 0.0
+            for j in range(max(r - 1, 0), min(r + 2, rows)):
+                for i in range(max(c - 1, 0), min(c + 2, columns)):
+                    part = (2 - abs(j - r)) * (2 - abs(i - c))
+                    total, number = total + part * level[j, i], number + part * count[j, i]
+            smooth[r, c] = total / number if number > 0 else 0.0
+    return smooth, square

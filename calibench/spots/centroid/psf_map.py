@@ -1,7 +1,7 @@
 """Poisson-weighted fit of the map's own PSF: the centroid that neither coma nor magnitude moves.
 
 The position is the centre of mass of the light as the map holds it, at any flux. Where the map knows no more than a Gaussian
-(or nothing), this is the `gaussian` centroider.
+(or nothing), this is the `poisson` centroider.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from ...records import HermiteShape
 from .. import hermite
 from ..candidates import Candidates
 from ..scene import Centroids, Scene
-from . import gaussian
+from . import poisson
 from .kernels import fit_shapes
 
 SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX = 2, 7
@@ -23,7 +23,7 @@ SIGNIFICANT = 5.0  # chi2/dof beyond its own scatter by this many sigma widens t
 def centroid(scene: Scene, candidates: Candidates) -> Centroids:
     """Position, 2x2 covariance (wider where the fit is significantly worse than its noise), flux and local background."""
     if not scene.psf_known or scene.psf.hermite is None:
-        return gaussian.centroid(scene, candidates)
+        return poisson.centroid(scene, candidates)
     shape = scene.psf.hermite
     radius = window_radius(shape)
     core, wings = matrices(shape, hermite.coefficients_at(shape, candidates.xy_px, scene.psf.image_size_px))
