@@ -9,7 +9,7 @@ A map file is a multi-extension FITS file:
     INPUTS             a row a frame: sha256   /
     <LAYER>            one image for each measured image layer; DEFECTS is uint16, its bits named by BIT keywords
     LINEARITY_DN       (K, 2), where measured
-    INTRINSICS_COVARIANCE, PSF_COEFFICIENTS, PSF_MEASURED_XY_PX       where measured
+    INTRINSICS_COVARIANCE, PSF_COEFFICIENTS, PSF_MEASURED_XY_PX, PSF_HERMITE       where measured
     EVIDENCE/<key>     one for each evidence array
 
 Every HDU carries CHECKSUM and DATASUM. These are blind to swapped 16-bit words, so SHA256 covers every byte of the file
@@ -36,6 +36,7 @@ from ..records import (
     CalibrationMap,
     Camera,
     Conditions,
+    HermiteShape,
     Intrinsics,
     Limit,
     PsfMap,
@@ -79,6 +80,8 @@ def arrays_of(calmap: CalibrationMap) -> dict[str, np.ndarray]:
     if "psf" in calmap.measured:
         arrays["PSF_COEFFICIENTS"] = calmap.psf.coefficients
         arrays["PSF_MEASURED_XY_PX"] = calmap.psf.measured_xy_px
+        if calmap.psf.hermite is not None:
+            arrays["PSF_HERMITE"] = calmap.psf.hermite.coefficients
     return arrays | {f"EVIDENCE/{key}": array for key, array in sorted(calmap.evidence.items())}
 
 
@@ -122,7 +125,9 @@ def rebuild(meta: dict, arrays: Mapping[str, np.ndarray]) -> CalibrationMap:
         layers["psf"] = PsfMap(
             **{name: psf[name] for name in ("model", "degree", "centre")}, image_size_px=tuple(psf["image_size_px"]),
             residual_rms_px2=math.inf if residual is None else residual,
-            coefficients=arrays["PSF_COEFFICIENTS"], measured_xy_px=arrays["PSF_MEASURED_XY_PX"])
+            coefficients=arrays["PSF_COEFFICIENTS"], measured_xy_px=arrays["PSF_MEASURED_XY_PX"],
+            # maps written before the shape was measured have no such entry
+            hermite=HermiteShape(**psf["hermite"], coefficients=arrays["PSF_HERMITE"]) if psf.get("hermite") else None)
     spans = {name: tuple(value) if isinstance(value, list) else value for name, value in meta["conditions"].items()}
     return CalibrationMap(
         image_size_px=size, measured=measured, **layers,
@@ -140,6 +145,7 @@ def required_extensions(meta: dict) -> list[str]:
     names = [name.upper() for name in ARRAY_LAYERS if name in measured]
     names += ["INTRINSICS_COVARIANCE"] if "intrinsics" in measured else []
     names += ["PSF_COEFFICIENTS", "PSF_MEASURED_XY_PX"] if "psf" in measured else []
+    names += ["PSF_HERMITE"] if "psf" in measured and meta["psf"].get("hermite") else []
     return [*TABLES, *names, *(f"EVIDENCE/{key}" for key in meta["evidence"])]
 
 
@@ -171,7 +177,10 @@ def _intrinsics(lens: Intrinsics) -> dict:
 
 def _psf(psf: PsfMap) -> dict:
     return {"model": psf.model, "degree": psf.degree, "centre": psf.centre, "image_size_px": psf.image_size_px,
-            "residual_rms_px2": psf.residual_rms_px2, "spots": len(psf.measured_xy_px)}
+            "residual_rms_px2": psf.residual_rms_px2, "spots": len(psf.measured_xy_px),
+            "hermite": None if psf.hermite is None else {field.name: getattr(psf.hermite, field.name)
+                                                         for field in dataclasses.fields(psf.hermite)
+                                                         if field.name != "coefficients"}}
 
 
 def _verdict(entry: dict) -> Verdict:

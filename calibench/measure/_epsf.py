@@ -19,7 +19,7 @@ from ..spots import hermite
 from ..spots.psf import field_terms
 
 ORDERS, DEGREES = (4, 6, 8), (1, 2, 3, 4)
-ROUGH, ROUGH_STEPS, FINE_STEPS = (4, 2), 3, 2
+ROUGH, ROUGH_STEPS = (4, 2), 3
 FOLDS = 6
 PRIOR_STEPS = 3
 CELLS = 12  # spots of one cell of a 12 x 12 grid over the image are left out together: a held-out place, not a held-out frame
@@ -76,29 +76,29 @@ def fit_shape(spots: Windows, image_size_px: tuple[int, int], *, gain_dn_per_e: 
               dither_coverage: float) -> Fitted:
     """The PSF's shape over the field from N spots.
 
-    gain_dn_per_e: for the spots' own shot noise (0: unknown). scale_px: of the core. pinhole_px: diameter of the source's image,
-    taken out of the result (the disc's second moment; good to 0.1 % of the peak up to 0.7 px).
+    gain_dn_per_e: for the spots' own shot noise (0: unknown). scale_px: of the core. pinhole_px: diameter of the source's
+    image, taken out of the result to the disc's second moment.
     """
-    used = np.ones(len(spots.xy_px), bool)
-    degrees = [d for d in DEGREES if SPOTS_PER_TERM * _terms(d) <= len(used)] or [0]
-    order, degree = min(ROUGH[0], ORDERS[-1]), min(ROUGH[1], degrees[-1])
+    degrees = [d for d in DEGREES if SPOTS_PER_TERM * _terms(d) <= len(spots.xy_px)] or [0]
     values = np.zeros((len(hermite.free_functions(ORDERS[-1]).T), _terms(degrees[-1])))
-    now = spots
-    for step in range(ROUGH_STEPS + FINE_STEPS):
-        if step == ROUGH_STEPS:
-            used_now = _agreeing(normal.chi2 / np.maximum(normal.pixels, 1))
-            used[np.flatnonzero(used)[~used_now]] = False
-            now, (order, degree) = now.take(used_now), (ORDERS[-1], degrees[-1])
-        terms = field_terms(now.xy_px, image_size_px, degree)
-        chosen = _rows(order)
-        normal = _normal(now, values[chosen][:, :terms.shape[1]], terms, order, scale_px, gain_dn_per_e, pinhole_px,
-                         robust=step > 0)
-        whole, right = _assembled(normal, terms, slice(None))
-        change = _solved(whole, right).reshape(len(chosen), -1)
-        values[np.ix_(chosen, np.arange(terms.shape[1]))] += change
-        now = _moved(now, normal, terms @ change.T)
-    before = (values - change).ravel()
-    prior = _prior(whole, right + whole @ before, _groups(degree))
+
+    def step(now: Windows, order: int, degree: int, *, robust: bool) -> tuple[Windows, _Normal, np.ndarray]:
+        terms, rows = field_terms(now.xy_px, image_size_px, degree), _rows(order)
+        block = np.ix_(rows, np.arange(terms.shape[1]))
+        normal = _normal(now, values[block], terms, order, scale_px, gain_dn_per_e, pinhole_px, robust=robust)
+        change = _solved(*_assembled(normal, terms, slice(None))).reshape(len(rows), -1)
+        values[block] += change
+        return _moved(now, normal, terms @ change.T), normal, terms
+
+    now, normal, _ = step(spots, ROUGH[0], min(ROUGH[1], degrees[-1]), robust=False)
+    for _ in range(ROUGH_STEPS - 1):
+        now, normal, _ = step(now, ROUGH[0], min(ROUGH[1], degrees[-1]), robust=True)
+    used = _agreeing(normal.chi2 / np.maximum(normal.pixels, 1))
+    now, *_ = step(now.take(used), ORDERS[-1], degrees[-1], robust=True)
+    before = values.ravel().copy()
+    now, normal, terms = step(now, ORDERS[-1], degrees[-1], robust=True)
+    whole, right = _assembled(normal, terms, slice(None))
+    prior = _prior(whole, right + whole @ before, _groups(degrees[-1]))
     # The last matrix serves all lower orders and degrees, each judged by the spots of the folds that it has not seen.
     folds = _folds(now.xy_px, image_size_px)
     parts = [_assembled(normal, terms, folds == fold) for fold in range(FOLDS)]
@@ -108,13 +108,39 @@ def fit_shape(spots: Windows, image_size_px: tuple[int, int], *, gain_dn_per_e: 
     block = _block(order, degree, terms.shape[1])
 
     def shape(matrix: np.ndarray, right: np.ndarray) -> HermiteShape:
-        # right belongs to a step from `before`; as an equation for the coefficients themselves it is right + matrix @ before
-        found = _solved(matrix[np.ix_(block, block)], (right + matrix @ before)[block], prior[block]).reshape(-1, _terms(degree))
-        return HermiteShape(order=order, degree=degree, scale_px=scale_px, coefficients=found, core_residual=0.0,
-                            radius_px=spots.data_dn.shape[1] // 2, dither_coverage=dither_coverage)
+        # `right` belongs to a step from `before`; for the coefficients themselves it is right + matrix @ before
+        found = _solved(matrix[np.ix_(block, block)], (right + matrix @ before)[block], prior[block])
+        return HermiteShape(order=order, degree=degree, scale_px=scale_px, coefficients=found.reshape(-1, _terms(degree)),
+                            radius_px=spots.data_dn.shape[1] // 2, core_residual=0.0, dither_coverage=dither_coverage)
     without = tuple(shape(whole - part, right - part_right) for part, part_right in parts)
-    return Fitted(shape=shape(whole, right), without_fold=without, spots=now, used=used,
-                  chi2=normal.chi2 / np.maximum(normal.pixels - 4, 1), held_out=judged)
+    found = shape(whole, right)
+    terms = field_terms(now.xy_px, image_size_px, degree)
+    last = _normal(now, found.coefficients, terms, order, scale_px, gain_dn_per_e, pinhole_px, robust=True)
+    now = _moved(now, last, np.zeros(last.right.shape))
+    residual = _core_residual(now, found, without, image_size_px, gain_dn_per_e, pinhole_px)
+    return Fitted(shape=replace(found, core_residual=residual), without_fold=without, spots=now, used=used,
+                  chi2=last.chi2 / np.maximum(last.pixels - 4, 1), held_out=judged)
+
+
+def _core_residual(spots: Windows, shape: HermiteShape, without: tuple[HermiteShape, ...], image_size_px: tuple[int, int],
+                   gain: float, pinhole_px: float) -> float:
+    """Rms misfit of the pixels above a fifth of the peak, as a share of it: what the residuals show beyond their noise, and the
+    noise of the shape itself (jackknife over the folds)."""
+    parts = _functions(spots, shape.order, shape.scale_px, pinhole_px)
+
+    def unit(one: HermiteShape) -> np.ndarray:
+        return _images(parts, hermite.coefficients_at(one, spots.xy_px, image_size_px))[0]
+    image = unit(shape)
+    n, flux = len(image), spots.flux_dn[:, None]
+    variance = spots.floor_dn2.reshape(n, -1) + gain * np.maximum(flux * image, 0)
+    square = (spots.data_dn.reshape(n, -1) - spots.background_dn[:, None] - flux * image) ** 2
+    peak = image.max(1, keepdims=True)
+    hit = square > PIXEL_SIGMA**2 * variance + (PIXEL_MISFIT * flux * peak) ** 2
+    core = spots.good.reshape(n, -1) & (image > 0.2 * peak) & ~hit
+    excess = np.mean(((square - variance) / (flux * peak) ** 2)[core])
+    others = np.array([unit(one)[core] for one in without])
+    noise = (len(without) - 1) * np.mean(others.var(0) / np.broadcast_to(peak, core.shape)[core] ** 2)
+    return float(np.sqrt(max(excess, 0) + noise))
 
 
 def _terms(degree: int) -> int:

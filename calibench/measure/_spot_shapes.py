@@ -11,6 +11,7 @@ from ..records import SPOT_FLAGS, UNUSABLE, CorrectedFrame, PsfMap
 from ..spots.background import background_and_noise
 from ..spots.find import find_spots
 from ..spots.gaussian_fit import fit_gaussians, windows
+from ._epsf import Windows
 
 START_SIGMA_PX = 1.0
 SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX = 4, 12
@@ -23,7 +24,7 @@ class SpotShapes:
 
     xy_px (N, 2); moments_px2 (N, 3) s_xx, s_yy, s_xy of the PSF without the pixel; flux_dn (N,); distance_px and light (N, M):
     each window pixel's distance from the centre and its share of the spot's flux (NaN where it cannot be used).
-    rejected: reason -> count.
+    rejected: reason -> count. windows: the spots cut out, for the shape's fit.
     """
 
     xy_px: np.ndarray
@@ -32,12 +33,15 @@ class SpotShapes:
     distance_px: np.ndarray
     light: np.ndarray
     rejected: dict[str, int]
+    windows: Windows
 
 
-def shapes(corrected: CorrectedFrame, image_size_px: tuple[int, int], *, k_sigma: float, least_snr: float) -> SpotShapes:
+def shapes(corrected: CorrectedFrame, image_size_px: tuple[int, int], *, k_sigma: float, least_snr: float,
+           radius_px: int | None = None) -> SpotShapes:
     """Find spots, sort out those that would spoil a shape, fit a free Gaussian to each of the rest.
 
-    The fit integrates the Gaussian over each pixel, so its moments are those of the light before the pixel.
+    radius_px: half width of the windows; None: three sigma of this frame's own spots. The fit integrates the Gaussian over each
+    pixel, so its moments are those of the light before the pixel.
     """
     spots = find_spots(corrected, PsfMap.unknown(image_size_px), k_sigma=k_sigma)
     unusable = ((corrected.defects & UNUSABLE) != 0) | ~np.isfinite(corrected.signal_dn)
@@ -54,7 +58,7 @@ def shapes(corrected: CorrectedFrame, image_size_px: tuple[int, int], *, k_sigma
                           free_shape=True)
     good = first.converged & (snr > least_snr)
     width = np.sqrt(np.median(first.moments_px2[good][:, :2])) if good.any() else START_SIGMA_PX
-    radius = int(np.clip(np.ceil(3 * width + 1.5), SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX))
+    radius = radius_px or int(np.clip(np.ceil(3 * width + 2), SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX))
     fit = fit_gaussians(signal, floor, unusable, spots.xy_px, np.where(good[:, None], first.moments_px2, start),
                         gain_dn_per_e=gain, radius=radius, free_shape=True)
 
@@ -79,8 +83,13 @@ def shapes(corrected: CorrectedFrame, image_size_px: tuple[int, int], *, k_sigma
     data, pixels = windows(np.where(unusable, np.nan, signal).astype(float), centres, radius)
     distance = np.linalg.norm(pixels - fit.xy_px[usable][:, None], axis=-1)
     light = (data - fit.background_dn[usable][:, None]) / fit.flux_dn[usable][:, None]
+    good = np.isfinite(data)
+    side = (len(data), 2 * radius + 1, 2 * radius + 1)
+    cut_out = Windows(data_dn=np.where(good, data, 0).reshape(side), good=good.reshape(side), corner_xy=centres - radius,
+                      floor_dn2=windows(floor, centres, radius)[0].reshape(side), xy_px=fit.xy_px[usable],
+                      flux_dn=fit.flux_dn[usable], background_dn=fit.background_dn[usable])
     return SpotShapes(xy_px=fit.xy_px[usable], moments_px2=fit.moments_px2[usable], flux_dn=fit.flux_dn[usable],
-                      distance_px=distance, light=light, rejected=rejected)
+                      distance_px=distance, light=light, rejected=rejected, windows=cut_out)
 
 
 def axes_px(moments_px2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

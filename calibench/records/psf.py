@@ -15,9 +15,10 @@ CENTRE_OF_MASS = "centre of mass of the light"
 class HermiteShape:
     """The PSF as a Gauss-Hermite series whose coefficients are polynomials over the field (formulas: spots/hermite).
 
-    order: of the core, whose Gaussian has scale_px. degree: over the field. coefficients (functions, terms): rows in the order of `spots.hermite.free_functions`, terms as in PsfMap.
-    radius_px: of the windows that were fitted; beyond it the series is a continuation. core_residual: rms misfit where the light
-    is, as a share of the peak. dither_coverage: share of the pixel (in 4 x 4 parts) in which some spot was centred.
+    order: of the core, whose Gaussian has scale_px. degree: over the field. coefficients (functions, terms): rows in the order
+    of `spots.hermite.free_functions`, terms as in PsfMap. radius_px: of the windows that were fitted; beyond it the series is
+    a continuation. core_residual: rms misfit where the light is, as a share of the peak. dither_coverage: share of the pixel
+    (in 4 x 4 parts) in which some spot was centred.
     """
 
     order: int

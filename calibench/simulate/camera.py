@@ -11,6 +11,7 @@ from ..geometry.projection import unproject
 from ..records import Intrinsics
 from .lens import Lens, transmission
 from .psf import Aberrations
+from .pupil import Pupil
 from .sensor import Defects, FixedPattern, Sensor, fixed_pattern
 
 
@@ -24,7 +25,7 @@ class SimulatedCamera:
     gain_setting: float
     sensor: Sensor
     lens: Lens
-    aberrations: Aberrations
+    aberrations: Aberrations | Pupil
     seed: int
 
     @property

@@ -20,9 +20,10 @@ class PinholeImage:
     flux_e: np.ndarray
 
 
-def pinholes(camera: SimulatedCamera, *, columns: int, rows: int, flux_e: float, rng: np.random.Generator) -> PinholeImage:
+def pinholes(camera: SimulatedCamera, *, columns: int, rows: int, flux_e: float, rng: np.random.Generator,
+             diameter_px: float = 0.0) -> PinholeImage:
     """A grid of columns x rows spots from edge to edge, each moved by its own part of a pixel (+-0.5 px in x and y), so that a
-    few frames sample every pixel phase everywhere. flux_e: electrons of a spot on the axis."""
+    few frames sample every pixel phase everywhere. flux_e: electrons of a spot on the axis. diameter_px: of a pinhole's image."""
     width, height = camera.image_size_px
     margin_px = 12
     grid_x, grid_y = np.meshgrid(np.linspace(margin_px, width - 1 - margin_px, columns),
@@ -30,5 +31,5 @@ def pinholes(camera: SimulatedCamera, *, columns: int, rows: int, flux_e: float,
     xy_px = np.column_stack([grid_x.ravel(), grid_y.ravel()]) + rng.uniform(-0.5, 0.5, (columns * rows, 2))
     nearest_x, nearest_y = np.rint(xy_px).astype(int).T
     flux = flux_e * camera.transmission[nearest_y, nearest_x]
-    return PinholeImage(light_e=render_sources(camera.aberrations, xy_px, flux, (width, height)), xy_px=xy_px,
-                        centroid_px=centroid_px(camera.aberrations, xy_px), flux_e=flux)
+    light_e = render_sources(camera.aberrations, xy_px, flux, (width, height), pinhole_px=diameter_px)
+    return PinholeImage(light_e=light_e, xy_px=xy_px, centroid_px=centroid_px(camera.aberrations, xy_px), flux_e=flux)

@@ -13,6 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import BadInput
+from .pupil import Pupil, centroid_shift_px
+from .pupil import stamps as pupil_stamps
+
 # The comatic figure as three Gaussians along the field radius: weight, offset and extra sigma in units of the flare's length.
 _FLARE = np.array([[0.70, 0.0, 0.0], [0.22, 1.0, 0.35], [0.08, 2.25, 0.80]])
 _MEAN_OFFSET = float(_FLARE[:, 0] @ _FLARE[:, 1])
@@ -39,7 +43,7 @@ class Aberrations:
     corner_radius_px: float
 
 
-def _field(aberrations: Aberrations, xy_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _field(aberrations: Aberrations | Pupil, xy_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Field radius (N,) and outward unit vector (N, 2); on the axis itself every direction is as good."""
     offset = (np.asarray(xy_px, float).reshape(-1, 2) - aberrations.centre_px) / aberrations.corner_radius_px
     field = np.hypot(offset[:, 0], offset[:, 1])
@@ -47,10 +51,11 @@ def _field(aberrations: Aberrations, xy_px: np.ndarray) -> tuple[np.ndarray, np.
     return field, outward
 
 
-def centroid_px(aberrations: Aberrations, xy_px: np.ndarray) -> np.ndarray:
+def centroid_px(aberrations: Aberrations | Pupil, xy_px: np.ndarray) -> np.ndarray:
     """Flux-weighted centroid (N, 2) of the PSF of sources whose chief rays are xy_px (N, 2)."""
     field, outward = _field(aberrations, xy_px)
-    return np.asarray(xy_px, float).reshape(-1, 2) + (aberrations.coma_px * field)[:, None] * outward
+    shift_px = centroid_shift_px(aberrations, field) if isinstance(aberrations, Pupil) else aberrations.coma_px * field
+    return np.asarray(xy_px, float).reshape(-1, 2) + shift_px[:, None] * outward
 
 
 def moments_px2(aberrations: Aberrations, xy_px: np.ndarray) -> np.ndarray:
@@ -66,22 +71,44 @@ def moments_px2(aberrations: Aberrations, xy_px: np.ndarray) -> np.ndarray:
                             (radial - tangential) * cos * sin])
 
 
-def render_sources(aberrations: Aberrations, xy_px: np.ndarray, flux_e: np.ndarray,
-                   image_size_px: tuple[int, int]) -> np.ndarray:
+def render_sources(aberrations: Aberrations | Pupil, xy_px: np.ndarray, flux_e: np.ndarray, image_size_px: tuple[int, int], *,
+                   pinhole_px: float = 0.0) -> np.ndarray:
     """Image (H, W) of expected electrons of point sources: chief rays xy_px (N, 2), fluxes flux_e (N,).
 
-    Each pixel integrates the PSF over its square by 4 x 4 Gauss-Legendre nodes (error below 2e-5 of the peak for
-    sigma 0.5 px). What falls off the image is lost; the window of 19 pixels holds all but 2e-6 of a flux.
+    What falls off the image is lost; the window of 19 pixels holds all but 2e-6 of a flux (of a pupil's, with its diffraction
+    wings, all but 1 %). pinhole_px: diameter of the sources' own image; only a Pupil can render it.
+
+    Raises:
+        BadInput: a pinhole of some size through Aberrations.
     """
     width, height = image_size_px
     xy_px = np.asarray(xy_px, float).reshape(-1, 2)
     field, outward = _field(aberrations, xy_px)
-    cos, sin = (a[:, None, None] for a in outward.T)
     nearest = np.rint(xy_px).astype(int)
     window = np.arange(-_HALF_WINDOW_PX, _HALF_WINDOW_PX + 1)
     columns, rows = nearest[:, 0, None, None] + window, nearest[:, 1, None, None] + window[:, None]
     dx, dy = columns - xy_px[:, 0, None, None], rows - xy_px[:, 1, None, None]
+    if isinstance(aberrations, Pupil):
+        stamps = pupil_stamps(aberrations, field, outward, dx[:, 0], dy[:, :, 0], pinhole_px=pinhole_px)
+    elif pinhole_px:
+        raise BadInput("Aberrations render points only", mend="give the camera a Pupil")
+    else:
+        stamps = _flare_stamps(aberrations, field, outward, dx, dy)
+    stamps *= np.asarray(flux_e, float)[:, None, None]
 
+    columns, rows = (np.broadcast_to(a, stamps.shape) for a in (columns, rows))
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    flat = np.bincount(rows[inside] * width + columns[inside], weights=stamps[inside], minlength=width * height)
+    return flat.astype(float).reshape(height, width)  # of no source at all bincount makes integers
+
+
+def _flare_stamps(aberrations: Aberrations, field: np.ndarray, outward: np.ndarray, dx: np.ndarray,
+                  dy: np.ndarray) -> np.ndarray:
+    """Share of the light (N, R, C) in each pixel at dx (N, 1, C), dy (N, R, 1) from the chief ray.
+
+    Each pixel integrates the PSF over its square by 4 x 4 Gauss-Legendre nodes (error below 2e-5 of the peak for sigma 0.5 px).
+    """
+    cos, sin = (a[:, None, None] for a in outward.T)
     radial_var = aberrations.core_sigma_px**2 + (aberrations.radial_blur_px * field**2) ** 2
     tangential_var = aberrations.core_sigma_px**2 + (aberrations.tangential_blur_px * field**2) ** 2
     flare_px = aberrations.coma_px * field / _MEAN_OFFSET
@@ -96,9 +123,4 @@ def render_sources(aberrations: Aberrations, xy_px: np.ndarray, flux_e: np.ndarr
                 r = (dx + node_x) * cos + (dy + node_y) * sin - shift
                 t = (dy + node_y) * cos - (dx + node_x) * sin
                 stamps += weight_x * weight_y * peak * np.exp(-0.5 * (r**2 / vr + t**2 / vt))
-    stamps *= np.asarray(flux_e, float)[:, None, None]
-
-    columns, rows = (np.broadcast_to(a, stamps.shape) for a in (columns, rows))
-    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    flat = np.bincount(rows[inside] * width + columns[inside], weights=stamps[inside], minlength=width * height)
-    return flat.astype(float).reshape(height, width)  # of no source at all bincount makes integers
+    return stamps

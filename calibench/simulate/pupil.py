@@ -22,9 +22,9 @@ PERIOD_PX = 40.0  # the Fourier sum repeats after so many pixels: the far wings 
 class Pupil:
     """A lens by its wavefront error, Zernike polynomials in waves rms (Noll's normalisation), field 1 at the image corner.
 
-    lambda_n_px: wavelength times f-number in pixels, the unit of diffraction. defocus_waves: everywhere; curvature_waves: defocus
-    at the corner, with the square of the field; astigmatism_waves: so too, along the radius; coma_waves: at the corner,
-    linear in the field, outward where positive. diffusion_sigma_px: of charge in the sensor. centre_px: the optical axis.
+    lambda_n_px: wavelength times f-number in pixels, the unit of diffraction. defocus_waves: everywhere; curvature_waves:
+    defocus at the corner, with the square of the field; astigmatism_waves: so too, along the radius; coma_waves: at the
+    corner, linear in the field, outward where positive. diffusion_sigma_px: of charge in the sensor. centre_px: optical axis.
     """
 
     lambda_n_px: float
