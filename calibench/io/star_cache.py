@@ -57,7 +57,7 @@ def kept(name: str, table: type[NamedTuple], build: Callable[[], NamedTuple]) ->
         return _read(path, table)
     except FileNotFoundError:
         pass
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as fault:
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as fault:
         print(f"calibench: {path}: kept table not used ({fault}); built anew", file=sys.stderr)
     built = build()
     arrays = {field: np.asarray(value) for field, value in built._asdict().items()}

@@ -22,7 +22,7 @@ from . import kernels
 # the corner of a frame that looks past a bright cluster.
 CIRCLES = ((1.0, 9), (0.6, 9))
 KEY_STEP = 0.05  # of the half diagonal: like cameras share one table
-CELL = 1 / 250  # of the half diagonal: some pixels
+CELL = 1 / 80  # of the half diagonal: some eight pixels, one or two triangles each
 ABERRATION = 1e-4  # a table is of the sky at rest; the Earth's motion changes an angle by this part of it at most
 BATCHES = (5, 7, 10, 14, 20)  # triples of the brightest spots first
 WIDE_BATCHES = BATCHES[:4]  # through a lens that has drifted, where a question costs ten times as much
