@@ -12,6 +12,11 @@ from .compare_lens import LensDifference, lens_difference
 
 # Of a normal distribution, the median absolute deviation times this is the standard deviation.
 SD_PER_MAD = 1.4826
+CERTAIN_SIGMA = 5.0
+# Which layer shows that a defect of the class came or went, and in which direction a coming one moves it.
+LAYER_OF_CLASS = {"hot": ("dark_rate_dn_per_s", 1), "warm": ("dark_rate_dn_per_s", 1), "stuck": ("dark_rate_dn_per_s", 1),
+                  "dead": ("response", -1), "cold": ("response", -1)}
+ERROR_OF_LAYER = {"dark_rate_dn_per_s": "dark_rate_uncertainty_dn_per_s", "response": "response_uncertainty"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,13 +32,22 @@ class LayerChange:
 
 @dataclass(frozen=True, kw_only=True)
 class DefectChange:
-    """Pixels with one flag: how many in A, in B, new in B, and gone from A."""
+    """Pixels with one flag: how many in A, in B, new in B, and gone from A.
+
+    new_certain, gone_certain: of these, the pixels whose layer (dark rate for hot, warm and stuck, response for dead and cold)
+    has changed in that direction by CERTAIN_SIGMA of both maps' errors; the others stand near the threshold, which chance
+    crosses both ways. None where the class has no layer with errors. growth_sigma: (new - gone) / sqrt(new + gone), McNemar's
+    test of whether the class has grown; 0 where nothing changed.
+    """
 
     name: str
     in_a: int
     in_b: int
     new: int
     gone: int
+    new_certain: int | None
+    gone_certain: int | None
+    growth_sigma: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +76,7 @@ def compare(a: CalibrationMap, b: CalibrationMap, fit_radius_px: float | None = 
     return MapDifference(
         lens=lens_difference(a.intrinsics, b.intrinsics, fit_radius_px) if "intrinsics" in both else None,
         layers=tuple(_layer(name, a, b, sound) for name in (*IMAGE_LAYERS, *SCALAR_LAYERS) if name in both),
-        defects=_defects(a.defects, b.defects) if "defects" in both else (),
+        defects=_defects(a, b) if "defects" in both else (),
         only_in_a=tuple(name for name in LAYERS if name in a.measured - b.measured),
         only_in_b=tuple(name for name in LAYERS if name in b.measured - a.measured))
 
@@ -79,8 +93,28 @@ def _layer(name: str, a: CalibrationMap, b: CalibrationMap, sound: np.ndarray) -
                        largest=float(change[np.argmax(np.abs(change))]))
 
 
-def _defects(a: np.ndarray, b: np.ndarray) -> tuple[DefectChange, ...]:
+def _defects(a: CalibrationMap, b: CalibrationMap) -> tuple[DefectChange, ...]:
     """One entry for each flag that either map carries."""
-    changes = (DefectChange(name=name, **{key: int(np.count_nonzero(pixels & bit)) for key, pixels in (
-        ("in_a", a), ("in_b", b), ("new", b & ~a), ("gone", a & ~b))}) for name, bit in DEFECT_FLAGS.items())
-    return tuple(change for change in changes if change.in_a or change.in_b)
+    changes = []
+    for name, bit in DEFECT_FLAGS.items():
+        before, after = ((calmap.defects & bit) != 0 for calmap in (a, b))
+        if not (before.any() or after.any()):
+            continue
+        new, gone = after & ~before, before & ~after
+        count_new, count_gone = np.count_nonzero(new), np.count_nonzero(gone)
+        changes.append(DefectChange(
+            name=name, in_a=np.count_nonzero(before), in_b=np.count_nonzero(after), new=count_new, gone=count_gone,
+            new_certain=_moved(name, a, b, new, 1), gone_certain=_moved(name, a, b, gone, -1),
+            growth_sigma=float((count_new - count_gone) / np.sqrt(max(count_new + count_gone, 1)))))
+    return tuple(changes)
+
+
+def _moved(name: str, a: CalibrationMap, b: CalibrationMap, pixels: np.ndarray, sign: int) -> int | None:
+    """How many of the pixels (H, W) bool have a layer that moved as the coming (1) or going (-1) of the class says; None where
+    no layer with errors shows it."""
+    layer, direction = LAYER_OF_CLASS.get(name, ("", 0))
+    if not {layer, ERROR_OF_LAYER.get(layer)} <= a.measured & b.measured:
+        return None
+    change = getattr(b, layer)[pixels].astype(float) - getattr(a, layer)[pixels]
+    error = np.hypot(*(getattr(calmap, ERROR_OF_LAYER[layer])[pixels].astype(float) for calmap in (a, b)))
+    return int(np.count_nonzero(sign * direction * change > CERTAIN_SIGMA * error))

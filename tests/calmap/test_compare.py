@@ -160,3 +160,27 @@ def test_where_all_pixels_are_defective_they_are_compared_all_the_same():
 def test_maps_of_two_sizes_are_refused():
     with pytest.raises(BadInput, match="40 x 30 and 41 x 30"):
         compare(camera_map(), CalibrationMap(image_size_px=(41, 30)))
+
+
+def test_growth_is_told_from_pixels_at_the_threshold():
+    rng = np.random.default_rng(3)
+    hot = DEFECT_FLAGS["hot"]
+    error = np.full((H, W), 1.0)
+    rate = rng.normal(10, 1, (H, W))
+    before, after = np.zeros((H, W), np.uint16), np.zeros((H, W), np.uint16)
+    later = rate + rng.normal(0, 1, (H, W))
+    grown, gone = [(0, i) for i in range(12)], [(1, i) for i in range(4)]
+    for i, place in enumerate(grown):
+        after[place] = hot
+        later[place] += 100 if i < 9 else 0  # three of them crossed the threshold by chance
+    for place in gone:
+        before[place] = hot
+    maps = [camera_map(dark_rate_dn_per_s=r, dark_rate_uncertainty_dn_per_s=error, defects=d)
+            for r, d in ((rate, before), (later, after))]
+    change = next(d for d in compare(*maps).defects if d.name == "hot")
+    assert (change.new, change.gone, change.new_certain, change.gone_certain) == (12, 4, 9, 0)
+    assert change.growth_sigma == pytest.approx(2.0)
+    back = next(d for d in compare(*maps[::-1]).defects if d.name == "hot")
+    assert (back.gone_certain, back.growth_sigma) == (9, pytest.approx(-2.0))
+    without = [camera_map(defects=d) for d in (before, after)]
+    assert next(iter(compare(*without).defects)).new_certain is None

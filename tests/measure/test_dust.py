@@ -24,7 +24,7 @@ def test_shadows_are_found_with_place_width_and_depth():
     for x, y, sigma, depth in PLACES:
         i = int(np.argmin(np.hypot(*(found.xy_px - (x, y)).T)))
         assert np.hypot(*(found.xy_px[i] - (x, y))) < 0.4 * sigma
-        assert 0.7 * depth < found.depth[i] < 1.3 * depth and 1.5 * sigma < found.diameter_px[i] < 6 * sigma
+        assert 0.7 * depth < found.depth[i] < 1.3 * depth and sigma < found.diameter_px[i] < 6 * sigma
 
 
 def test_pixels_lines_and_slow_shading_are_no_dust():
