@@ -23,7 +23,7 @@ class PinholeImage:
 def pinholes(camera: SimulatedCamera, *, columns: int, rows: int, flux_e: float, rng: np.random.Generator,
              diameter_px: float = 0.0) -> PinholeImage:
     """A grid of columns x rows spots from edge to edge, each moved by its own part of a pixel (+-0.5 px in x and y), so that a
-    few frames sample every pixel phase everywhere. flux_e: electrons of a spot on the axis. diameter_px: of a pinhole's image."""
+    few frames sample every pixel phase everywhere. flux_e: electrons of a spot on the axis. diameter_px: of its own image."""
     width, height = camera.image_size_px
     margin_px = 12
     grid_x, grid_y = np.meshgrid(np.linspace(margin_px, width - 1 - margin_px, columns),
