@@ -63,7 +63,7 @@ def variance_line(x: np.ndarray, y: np.ndarray, error: np.ndarray, total: np.nda
     """
     first = line(x, y, error)
     expected = first.slope * x + first.offset + total - y
-    return line(x, y, error * np.clip(expected / total, 0.5, 2.0))
+    return line(x, y, error * np.clip(expected / np.maximum(total, 1e-12), 0.5, 2.0))
 
 
 def gain(points: list[TransferPoint]) -> tuple[float, float, str]:

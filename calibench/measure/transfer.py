@@ -91,7 +91,9 @@ def _gather(frames: Iterable[Frame], ledger: Ledger, settings: Settings) -> Leve
             check_dark(frame)
             checked_s = frame.exposure_s or 0.0
         if not ledger.take(frame):
-            continue
+            if not _featureless(frame):
+                continue
+            ledger.rejected.pop()  # full or empty throughout: alike without being copies
         photons = frame.photons_per_px
         if photons is None and settings.irradiance_photons_per_px_s > 0 and frame.exposure_s is not None:
             photons = settings.irradiance_photons_per_px_s * frame.exposure_s
@@ -104,6 +106,10 @@ def _gather(frames: Iterable[Frame], ledger: Ledger, settings: Settings) -> Leve
     if not any(gathered.levels.values()):
         raise BadInput("every level has one frame only: the temporal noise needs two frames of each", mend=MEND)
     return gathered
+
+
+def _featureless(frame: Frame) -> bool:
+    return bool(np.all(frame.data[0] == frame.data[0, 0]) and np.all(frame.data == frame.data[0, 0]))
 
 
 def _darks(levels: list[Level], calmap: CalibrationMap | None, first: Frame, plane: int) -> Darks:

@@ -13,6 +13,7 @@ from ..errors import BadInput
 from ..records import CalibrationMap, Measurement, Provenance
 from .build import build_report
 from .draw import GREY, sheet, style
+from .numbers import MISSING
 from .section import Table
 from .sections.transfer import summary, table
 from .story import Story
@@ -20,7 +21,7 @@ from .transfer_figures import figures, planes
 
 LABEL = "EMVA 1288 style, not certified"
 PAGE_IN = (8.27, 11.69)  # A4
-ROWS_A_PAGE = 58
+ROWS_A_PAGE, LONGEST_CELL = 58, 70
 FIELDS = ("name", "symbol", "value", "uncertainty", "unit", "source", "reason")
 
 
@@ -30,11 +31,15 @@ def datasheet(calmap: CalibrationMap, suffix: str) -> bytes:
     Raises:
         BadInput: the map holds no photon transfer measurement.
     """
-    return {".html": _html, ".pdf": _pdf, ".json": _json, ".csv": _csv}[suffix](calmap, _measurement(calmap))
+    return {".html": _html, ".pdf": _pdf, ".json": _json, ".csv": _csv}[suffix](calmap, measurement_of(calmap))
 
 
-def _measurement(calmap: CalibrationMap) -> Measurement:
-    """The measurement that was put into the map."""
+def measurement_of(calmap: CalibrationMap) -> Measurement:
+    """The photon transfer measurement that was put into the map.
+
+    Raises:
+        BadInput: there is none.
+    """
     quantities = tuple(q for key, q in calmap.quantities.items() if key.startswith("transfer."))
     evidence = {key.partition("/")[2]: a for key, a in calmap.evidence.items() if key.startswith("transfer/")}
     if not quantities or not evidence:
@@ -70,12 +75,16 @@ def _table_page(made: Table, first: int, head: str, said: str) -> Sheet:
     page, (axes,) = sheet(PAGE_IN)
     axes.set_axis_off()
     axes.set_title(f"{head}\n{said}", fontsize=7, color=GREY, wrap=True)
-    kept = [made.columns.index(name) for name in ("Quantity", "Symbol", "Value ± 1σ", "Unit", "Section")]
-    rows = [[row[i][:60] for i in kept] for row in made.rows[first:first + ROWS_A_PAGE]]
-    drawn = axes.table(cellText=rows, colLabels=[made.columns[i] for i in kept], loc="upper left", cellLoc="left", edges="B")
+    heads = ("Quantity", "Symbol", "Value ± 1σ", "Unit", "Section")
+    rows = []
+    for cells in made.rows[first:first + ROWS_A_PAGE]:
+        row = dict(zip(made.columns, cells, strict=True))
+        last = row["Remark"] if row["Value ± 1σ"] == MISSING else row["Section"]
+        rows.append([*(row[head] for head in heads[:-1]), last[:LONGEST_CELL]])
+    drawn = axes.table(cellText=rows, colLabels=heads, loc="upper left", cellLoc="left", edges="B")
     drawn.auto_set_font_size(False)
     drawn.set_fontsize(5.5)
-    drawn.auto_set_column_width(range(len(kept)))
+    drawn.auto_set_column_width(range(len(heads)))
     return page
 
 

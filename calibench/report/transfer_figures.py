@@ -15,6 +15,7 @@ from .numbers import number, percent, plural, with_uncertainty
 
 POINTS = {"fmt": "o", "color": BLUE, "markersize": 3.5, "capsize": 2, "linewidth": 1}
 LIGHT = {"photons": "photons per pixel", "s": "exposure (s)", "": "level"}
+FULL = 0.002  # share of the pixels at the largest value, beyond which a level is saturated
 STYLES = (("middle", GREY, 0.8), ("mean", BLUE, 1.4), ("minimum", GREEN, 0.8), ("maximum", RED, 0.8))
 
 
@@ -103,7 +104,7 @@ def _response(shown: Shown) -> Drawn:
 
 def _snr(shown: Shown) -> Drawn:
     c = shown.curves
-    charge, good = c["charge_e"], (c["charge_e"] > 0) & (c["snr"] > 0)
+    charge, good = c["charge_e"], (c["charge_e"] > 0) & (c["snr"] > 0) & (c["at_top"] < FULL)
     made, (axes,) = sheet(HALF)
     axes.loglog(charge[good], c["snr"][good], "o", color=BLUE, markersize=3.5, label="measured, temporal noise")
     axes.loglog(charge[good], c["snr_total"][good], color=ORANGE, label="total, with DSNU and PRNU")
@@ -113,7 +114,7 @@ def _snr(shown: Shown) -> Drawn:
     _finish(axes)
     snr = shown.values["snr_max"]
     said = f"SNR max {with_uncertainty(snr.value, snr.uncertainty)}" if snr.value is not None else snr.reason
-    return Drawn("Signal to noise", made, f"{said}; with the fixed pattern at most {number(c['snr_total'].max(), 3)}.")
+    return Drawn("Signal to noise", made, f"{said}; with the fixed pattern at most {number(c['snr_total'][good].max(), 3)}.")
 
 
 def _linearity(shown: Shown) -> Drawn:
