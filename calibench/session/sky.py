@@ -10,6 +10,7 @@ from time import perf_counter
 from ..calmap.correct import correct, outside_conditions
 from ..errors import BadInput
 from ..io.observer import frame_observer, observer_at
+from ..io.star_cache import kept
 from ..io.star_table import load_star_table
 from ..records import Attitude, CalibrationMap, Frame, Identification, Observer, Spots, StarTable, Station
 from ..stars.lost_in_space import LostInSpace
@@ -40,7 +41,7 @@ class Sky:
         return self.finders[day]
 
     def _finder(self, observer: Observer) -> LostInSpace:
-        finder = LostInSpace(sky=SkyCatalogue.seen_by(self.table, observer), method=self.method)
+        finder = LostInSpace(sky=SkyCatalogue.seen_by(self.table, observer), method=self.method, keep=kept)
         if self.finders:  # rows and sides of the patterns are the same stars' on any date, to far below the tolerance
             finder.tables = next(iter(self.finders.values())).tables
         return finder
