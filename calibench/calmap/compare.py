@@ -101,9 +101,9 @@ def _defects(a: CalibrationMap, b: CalibrationMap) -> tuple[DefectChange, ...]:
         if not (before.any() or after.any()):
             continue
         new, gone = after & ~before, before & ~after
-        count_new, count_gone = np.count_nonzero(new), np.count_nonzero(gone)
+        in_a, in_b, count_new, count_gone = (int(np.count_nonzero(pixels)) for pixels in (before, after, new, gone))
         changes.append(DefectChange(
-            name=name, in_a=np.count_nonzero(before), in_b=np.count_nonzero(after), new=count_new, gone=count_gone,
+            name=name, in_a=in_a, in_b=in_b, new=count_new, gone=count_gone,
             new_certain=_moved(name, a, b, new, 1), gone_certain=_moved(name, a, b, gone, -1),
             growth_sigma=float((count_new - count_gone) / np.sqrt(max(count_new + count_gone, 1)))))
     return tuple(changes)
