@@ -56,6 +56,11 @@ class Glance:
         return float(np.count_nonzero(self.values >= white_level_dn)) / self.values.size
 
     @cached_property
+    def noisy(self) -> bool:
+        """Whether most sums differ from their neighbours': frames without noise may be alike by chance."""
+        return bool(np.count_nonzero(np.diff(self.bands.astype(np.int64), axis=1)) * 2 > self.bands.size)
+
+    @cached_property
     def digest(self) -> int:
         """The same for the same pixels; two frames with noise of their own never share it."""
         return hash((self.values.shape, self.bands.tobytes()))

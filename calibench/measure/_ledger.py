@@ -1,4 +1,4 @@
-"""The book kept while frames stream by: which file, which conditions, and whether the frames belong together."""
+"""The book kept while frames stream by: which file, which conditions, whether the frames belong together, which are odd."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 
 from ..errors import BadInput
 from ..records import Frame, Provenance
+from ._glance import glance
+from ._watch import Watch
 
 TEMPERATURE_DRIFT_C = 1.0
 
@@ -24,7 +26,8 @@ class Ledger:
     def __init__(self, settings: object, what: str):
         self._settings, self._what = settings, what
         self._first: Frame | None = None
-        self._seen: dict[str, str] = {}
+        self._seen: dict[str | int, str] = {}
+        self._watch = Watch()
         self._said: dict[str, set] = {name: set() for name in ("exposure_s", "temperature_c", "date_obs", "camera")}
         self.inputs: dict[str, str] = {}
         self.rejected: list[tuple[str, str]] = []
@@ -46,8 +49,15 @@ class Ledger:
         if digest in self._seen:
             self.reject(frame, f"the same data as {self._seen[digest]}")
             return False
+        if frame.kind in ("dark", "flat"):
+            seen = glance(frame)
+            if seen.noisy and seen.digest in self._seen:
+                self.reject(frame, f"the same pixels as {self._seen[seen.digest]}, to the last bit of their noise")
+                return False
+            self._seen[seen.digest] = frame.name
+            self._watch.take(frame, seen)
         self._seen[digest] = frame.name
-        self.inputs[frame.label or f"frame {len(self._seen)}"] = digest
+        self.inputs[frame.label or f"frame {len(self.inputs) + 1}"] = digest
         self.lossy |= frame.lossy
         for name, values in self._said.items():
             if getattr(frame, name) is not None:
@@ -78,7 +88,7 @@ class Ledger:
         celsius = self._said["temperature_c"]
         if celsius and max(celsius) - min(celsius) > TEMPERATURE_DRIFT_C:
             out.append(f"temperature drifted from {min(celsius):.1f} to {max(celsius):.1f} C")
-        return tuple(out)
+        return (*out, *self._watch.warnings)
 
     def provenance(self) -> Provenance:
         """Inputs with their hashes, settings, and the conditions under the names of `records.Conditions`."""

@@ -7,6 +7,7 @@ image and the Bayer pattern with it; where ROWORDER is absent the rows are taken
 from __future__ import annotations
 
 import io
+import threading
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,6 +21,7 @@ from ._reading import TRUNCATED_MEND, Reading, check_claim, decoding, frame_valu
 
 SUFFIXES = (".fits", ".fit", ".fts", ".fz")
 BLOCK_BYTES = 2880
+_WARNINGS = threading.Lock()  # Python's warning filters are of the process, and frames are read by several threads
 # Keywords in use for one meaning, by field; where a header carries two of them they must agree.
 NUMBERS = {
     "exposure_s": ("EXPTIME", "EXPOSURE"), "gain_setting": ("GAIN",), "egain_e_per_dn": ("EGAIN",),
@@ -42,7 +44,7 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
     from astropy.io import fits
     from astropy.utils.exceptions import AstropyUserWarning
 
-    with decoding(file, "FITS"), warnings.catch_warnings():
+    with decoding(file, "FITS"), _WARNINGS, warnings.catch_warnings():
         # astropy only warns of truncation and bad checksums; odd but legible cards (VerifyWarning) do no harm.
         warnings.simplefilter("error", AstropyUserWarning)
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
