@@ -72,10 +72,10 @@ def frame_observer(frame: Frame, station: Station | None = None) -> Observer:
     late_s = (frame.exposure_s or 0.0) / 2 + row_time_s * (rows - 1) / 2
     date = None if frame.date_obs is None else (_instant(frame.date_obs) + timedelta(seconds=late_s)).isoformat()
     observer = observer_at(date, station)
-    if not row_time_s or station.rate_rad_s is None:
+    if not row_time_s:
         return observer
     rolling = Rolling(row_time_s=row_time_s if station.readout == "down" else -row_time_s, middle_row=(rows - 1) / 2,
-                      rate_rad_s=np.array(station.rate_rad_s))
+                      rate_rad_s=np.array(station.rate_rad_s or (0.0, 0.0, 0.0)))
     return Observer(**(vars(observer) | {"rolling": rolling}))
 
 

@@ -29,7 +29,8 @@ class Refraction:
 class Rolling:
     """A rolling shutter on a turning camera: row r is exposed (r - middle_row) * row_time_s after the time tag.
 
-    row_time_s: negative where the rows are read upwards. rate_rad_s: (3,) turning rate about the camera's own axes.
+    row_time_s: negative where the rows are read upwards. rate_rad_s: (3,) turning rate about the camera's own axes; zero
+    where it is not known (a track knows its own).
     """
 
     row_time_s: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
@@ -51,6 +51,10 @@ class Sky:
         day = self.finder(frame.date_obs)
         return day if observer.refraction is None else self._finder(observer)
 
+    def observer_of(self, frame: Frame) -> Observer:
+        """The observer of one frame, at its own instant."""
+        return frame_observer(frame, self.station)
+
     def solve(self, frame: Frame, calmap: CalibrationMap | None, *, fov_rad: float | None = None, settings: dict | None = None,
               read_s: float = 0.0) -> SolvedFrame:
         """Correct and solve one frame; a lens fitted to it is the first guess for the next.
@@ -62,7 +66,7 @@ class Sky:
         layers = calmap or CalibrationMap(image_size_px=frame.image_size_px)
         corrected = correct(frame, layers)
         timings = {"read": read_s, "correct": perf_counter() - start}
-        observer = frame_observer(frame, self.station)
+        observer = self.observer_of(frame)
         solver = Solver(finder=self.finder_of(frame, observer), familiar=self.familiar, **(settings or {}))
         solution = solver.solve(corrected, Lens.of(layers, fov_rad), observer)
         return SolvedFrame(frame=frame, observer=observer, solution=replace(solution, timings_s=timings | solution.timings_s),
@@ -91,11 +95,13 @@ class SolvedFrame:
 
 
 def solve_files(paths: Iterable[Path], sky: Sky, calmap: CalibrationMap | None, *, fov_rad: float | None = None,
-                settings: dict | None = None, named: frozenset[Path] | None = None) -> Iterator[SolvedFrame]:
+                settings: dict | None = None, named: frozenset[Path] | None = None,
+                solve: Callable[..., SolvedFrame] | None = None) -> Iterator[SolvedFrame]:
     """Read, correct and solve frames one after the other.
 
     settings: keyword arguments of Solver. fov_rad: horizontal field where the map has no lens. named: the frames that were
-    named outright (default: all); another that cannot be read is given back as rejected, with the reason.
+    named outright (default: all); another that cannot be read is given back as rejected, with the reason. solve: in place of
+    the sky's own, that of a `Track`.
 
     Raises:
         BadInput: a named frame cannot be read, a frame's sources contradict each other, or it has another size than the map.
@@ -106,4 +112,4 @@ def solve_files(paths: Iterable[Path], sky: Sky, calmap: CalibrationMap | None, 
         if isinstance(frame, BadInput):
             yield _unread(path, frame, sky.method)
             continue
-        yield sky.solve(frame, calmap, fov_rad=fov_rad, settings=settings, read_s=perf_counter() - start)
+        yield (solve or sky.solve)(frame, calmap, fov_rad=fov_rad, settings=settings, read_s=perf_counter() - start)

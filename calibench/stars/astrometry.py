@@ -22,7 +22,7 @@ from .sky_catalogue import star_directions
 def as_observed(found: Identification, table: StarTable, observer: Observer) -> Identification:
     """The identification with `direction_icrs` as this observer saw the stars."""
     directions = star_directions(table.take(found.star_rows), observer)
-    if observer.rolling is not None:
+    if observer.rolling is not None and observer.rolling.rate_rad_s.any():
         directions = _at_the_time_tag(found, directions, observer.rolling)
     return replace(found, direction_icrs=directions)
 

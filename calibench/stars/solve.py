@@ -110,13 +110,19 @@ class Solver:
         clock.append(perf_counter())
         timings = dict(zip(("detect", "identify", "attitude"), np.diff(clock).tolist(), strict=True))
         solution = Solution(file=corrected.file, spots=spots, identification=found, attitude=attitude, timings_s=timings)
-        if attitude.status != "solved":
-            return solution
-        if lens.intrinsics is not None:
-            matrix = rotation.matrix_from_quaternion(attitude.q_cam_icrs)
-            bias, centre = systematic(found, matrix, spot_weights(found, calibrated=True))
-            solution = replace(solution, systematic_covariance_rad2=bias, systematic_centre_rad=centre)
-        return _pointed(solution, observer)
+        return completed(solution, observer, calibrated=lens.intrinsics is not None)
+
+
+def completed(solution: Solution, observer: Observer, *, calibrated: bool) -> Solution:
+    """With what follows from a solved attitude: the systematic error of a map's lens, and where the image's centre looks."""
+    found, attitude = solution.identification, solution.attitude
+    if attitude.status != "solved":
+        return solution
+    if calibrated:
+        matrix = rotation.matrix_from_quaternion(attitude.q_cam_icrs)
+        bias, centre = systematic(found, matrix, spot_weights(found, calibrated=True))
+        solution = replace(solution, systematic_covariance_rad2=bias, systematic_centre_rad=centre)
+    return _pointed(solution, observer)
 
 
 def _pointed(solution: Solution, observer: Observer) -> Solution:

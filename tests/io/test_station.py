@@ -26,7 +26,7 @@ def test_a_sidecar_gives_the_station_and_the_frame_its_instant(tmp_path):
     assert frame.station.latitude_rad == pytest.approx(np.radians(48.2))
     observer = frame_observer(frame)
     assert observer.time_utc == "2024-05-17T21:04:05.123500"  # half the exposure, and 23.5 rows
-    assert observer.refraction.model == "erfa" and observer.rolling is None  # no rate is known
+    assert observer.refraction.model == "erfa" and not observer.rolling.rate_rad_s.any()  # no rate is known
     other = frame_observer(frame, Station(velocity_km_s=(0, 0, 7.0)))
     assert other.refraction is None
     added_c = other.velocity_c - observer_at(observer.time_utc).velocity_c

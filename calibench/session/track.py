@@ -1,0 +1,71 @@
+"""Track: the frames of one camera in their order, each from the one before; lost in space only where the track is lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+from ..calmap.conditions import outside_conditions
+from ..io.metadata import utc
+from ..records import CalibrationMap, Frame
+from ..stars.solve import Solution, completed
+from ..stars.tracking.layers import Layers
+from ..stars.tracking.tracker import Tracker
+from .sky import Sky, SolvedFrame
+
+LONGEST_GAP_S = 60.0  # after which a rate says nothing
+
+
+@dataclass
+class Track:
+    """What `Sky.solve` does, with a memory. Frames without a date are taken to follow each other evenly."""
+
+    sky: Sky
+    _tracker: Tracker | None = None
+    _like: tuple = ()
+    _last_s: float = 0.0
+    _count: int = 0
+
+    def solve(self, frame: Frame, calmap: CalibrationMap | None, *, fov_rad: float | None = None, settings: dict | None = None,
+              read_s: float = 0.0) -> SolvedFrame:
+        """Solve one frame by the track, or lost in space where there is none.
+
+        Raises:
+            BadInput: the frame has another size than the map.
+        """
+        layers = calmap or CalibrationMap(image_size_px=frame.image_size_px)
+        self._count += 1
+        dated = frame.date_obs is not None
+        time_s = utc(frame.date_obs).timestamp() if dated else float(self._count)
+        like = (frame.image_size_px, frame.data.dtype.str, frame.exposure_s, frame.white_level_dn, dated)
+        if self._tracker is not None and like == self._like and 0 < time_s - self._last_s <= LONGEST_GAP_S:
+            tracked = self._follow(frame, layers, time_s, read_s)
+            if tracked.solution.status == "solved":
+                self._last_s = time_s
+                return tracked
+        solved = self.sky.solve(frame, calmap, fov_rad=fov_rad, settings=settings, read_s=read_s)
+        if solved.solution.status == "solved":
+            self._begin(frame, layers, solved, time_s, like)
+        return solved
+
+    def _begin(self, frame: Frame, layers: CalibrationMap, solved: SolvedFrame, time_s: float, like: tuple) -> None:
+        found = solved.solution.identification
+        calibrated = "intrinsics" in layers.measured
+        same = self._tracker is not None and like == self._like and 0 < time_s - self._last_s <= LONGEST_GAP_S
+        if not same:
+            finder = self.sky.finder_of(frame, solved.observer)
+            self._tracker = Tracker(sky=finder.sky, layers=Layers.of(layers, frame), lens=found.intrinsics,
+                                    calibrated=calibrated)
+        self._tracker.start(solved.solution.attitude.q_cam_icrs, time_s)
+        self._like, self._last_s = like, time_s
+
+    def _follow(self, frame: Frame, layers: CalibrationMap, time_s: float, read_s: float) -> SolvedFrame:
+        begin = perf_counter()
+        observer = self.sky.observer_of(frame)
+        start = perf_counter()
+        spots, found, attitude = self._tracker.follow(frame, time_s, observer)
+        timings = {"read": read_s, "correct": start - begin, "detect": 0.0, "identify": 0.0, "attitude": perf_counter() - start}
+        solution = Solution(file=frame.file, spots=spots, identification=replace(found, file=frame.file), attitude=attitude,
+                            timings_s=timings)
+        solution = completed(solution, observer, calibrated=self._tracker.calibrated)
+        return SolvedFrame(frame=frame, observer=observer, solution=solution, outside=outside_conditions(frame, layers))

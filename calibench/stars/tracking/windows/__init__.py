@@ -1,0 +1,1 @@
+"""Centroids in windows about predicted places."""
