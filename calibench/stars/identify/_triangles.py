@@ -44,7 +44,11 @@ def build(sky: SkyCatalogue, sizes: tuple[float]) -> CodeTable:
     """Codes: the three sides, ascending; rows: corners in the order of the sides opposite them."""
     half = min(sizes[0], pi / 2)
     groups = [brightest_groups(sky, part * half, stars, 3) for part, stars in CIRCLES]
-    groups = unique_rows(np.concatenate(groups), len(sky.directions))
+    return table_of(sky, unique_rows(np.concatenate(groups), len(sky.directions)), half)
+
+
+def table_of(sky: SkyCatalogue, groups: np.ndarray, half: float) -> CodeTable:
+    """The table of these groups (G, 3) of star rows, for a camera of this half diagonal, rad."""
     length = sides(sky.directions[groups])
     order = np.argsort(length, axis=1)
     length, groups = np.take_along_axis(length, order, 1), np.take_along_axis(groups, order, 1)

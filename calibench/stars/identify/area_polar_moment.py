@@ -53,11 +53,14 @@ def build(sky: SkyCatalogue, key: float) -> Table:
     """Triangles of the brightest stars of every circle the size of the field, no wider than its diagonal."""
     half = min(key, np.pi / 2)
     triangles = brightest_groups(sky, half, STARS_PER_CIRCLE, 3)
-    sides = triangle_sides(sky.directions[triangles])
-    keep = sides.max(1) < 2 * np.sin(half)
-    area, moment = area_and_moment(sides[keep])
+    return table_of(sky, triangles[triangle_sides(sky.directions[triangles]).max(1) < 2 * np.sin(half)])
+
+
+def table_of(sky: SkyCatalogue, triangles: np.ndarray) -> Table:
+    """The table of these triangles (T, 3) of star rows."""
+    area, moment = area_and_moment(triangle_sides(sky.directions[triangles]))
     order = np.argsort(area)
-    return Table(rows=triangles[keep][order], area=area[order], moment=moment[order])
+    return Table(rows=triangles[order], area=area[order], moment=moment[order])
 
 
 def tolerances(sides: np.ndarray, side_error: np.ndarray) -> tuple[float, float]:
@@ -68,21 +71,27 @@ def tolerances(sides: np.ndarray, side_error: np.ndarray) -> tuple[float, float]
     return tuple(np.sqrt(((slopes * side_error[:, None]) ** 2).sum(0)))
 
 
+def within(view: View, corners: np.ndarray, table: Table) -> np.ndarray:
+    """Rows of the table whose area and moment are those of three spots (rows (3,)), within the tolerances of both."""
+    sides = triangle_sides(view.directions[corners])
+    area, moment = area_and_moment(sides)
+    pair_noise = np.hypot(view.sigma_rad[corners], view.sigma_rad[np.roll(corners, -1)])
+    error_a, error_j = tolerances(sides, TOLERANCE_SIGMA * pair_noise + view.ratio_error * sides)
+    error_a, error_j = error_a + 2 * view.scale_slack * area, error_j + 4 * view.scale_slack * moment
+    i, j = np.searchsorted(table.area, [area - error_a, area + error_a])
+    return np.arange(i, j)[np.abs(table.moment[i:j] - moment) < error_j]
+
+
 def propose(view: View, sky: SkyCatalogue, table: Table) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Correspondences (B, 3) spot rows, (B, 3) star rows."""
     n = min(TRIANGLE_SPOTS, len(view.directions))
     for triple in sorted(combinations(range(n), 3), key=sum):
         corners = np.array(triple)
-        sides = triangle_sides(view.directions[corners])
-        area, moment = area_and_moment(sides)
-        pair_noise = np.hypot(view.sigma_rad[corners], view.sigma_rad[np.roll(corners, -1)])
-        error_a, error_j = tolerances(sides, TOLERANCE_SIGMA * pair_noise + view.ratio_error * sides)
-        error_a, error_j = error_a + 2 * view.scale_slack * area, error_j + 4 * view.scale_slack * moment
-        i, j = np.searchsorted(table.area, [area - error_a, area + error_a])
-        near = np.arange(i, j)[np.abs(table.moment[i:j] - moment) < error_j][:MOST_PROPOSALS]
+        near = within(view, corners, table)[:MOST_PROPOSALS]
         if len(near):
             stars = table.rows[near]
             # Order the stars' corners so that their sides ascend as the spots' do (side k joins corner k and k + 1).
+            sides = triangle_sides(view.directions[corners])
             yield np.broadcast_to(_corner_order(sides[None], corners[None]), stars.shape), _corner_order(
                 triangle_sides(sky.directions[stars]), stars)
 
