@@ -21,7 +21,7 @@ from ._null import Null, fit_null
 
 THESIS_SIGMA = 5.0
 FOUND_SHARE = 0.99  # the detection limit is the excess that is found with this probability
-NULL_SAMPLE = 2_000_000  # pixels from which a null is learned
+NULL_SAMPLE = 1_000_000  # pixels from which a null is learned
 EXAMPLES = 6
 
 Fetch = Callable[[DarkLevel, np.ndarray], "telegraph.TimeSeries | None"]
@@ -65,7 +65,8 @@ def find_defects(ladder: Ladder, quiet: DarkLevel | None, rules: Rules, fetch: F
     value, variance = (ladder.rate_dn_per_s, ladder.rate_variance) if known else (ladder.offset_dn, ladder.offset_variance_dn2)
     frames = sum(level.count for level in ladder.levels)
     floor = QUANTISATION_DN2 / frames / (max(ladder.exposure_s) ** 2 if known else 1.0)
-    deviation = value - defect.background(value, rules.bayer_pattern)
+    local = defect.background(value, rules.bayer_pattern)
+    deviation = value - local
     scale = defect.scale(deviation, variance, rules.bayer_pattern, floor)
     z = deviation / scale
     null = fit_null(_sample(z))
@@ -73,8 +74,9 @@ def find_defects(ladder: Ladder, quiet: DarkLevel | None, rules: Rules, fetch: F
     significant = z > threshold
     hot = significant & (deviation > rules.limit)
     noisy = _noisy(ladder, quiet, deviation, rules)
-    stuck = _stuck(ladder, hot, rules)
-    unsteady, evidence = _unsteady(ladder, significant & ~stuck, rules, fetch)
+    offset_local = defect.background(ladder.offset_dn, rules.bayer_pattern) if known else local
+    stuck = _stuck(ladder, offset_local, hot, rules)
+    unsteady, evidence = _unsteady(ladder, significant & ~stuck, (offset_local, local), fetch)
     noisy |= unsteady["hit"]
     hot &= ~unsteady["hit"]
     masks = {"hot": hot, "warm": significant & ~hot & ~unsteady["hit"], "stuck": stuck, "noisy": noisy,
@@ -97,8 +99,8 @@ def find_defects(ladder: Ladder, quiet: DarkLevel | None, rules: Rules, fetch: F
 
 def above_mean_plus_sigma(mean: np.ndarray, counted: np.ndarray, k_sigma: float = THESIS_SIGMA) -> np.ndarray:
     """The thesis rule: above mean + k sigma of the averaged frame. Stuck pixels are not counted in, a few would blind it."""
-    level, sd = (float(f(mean[counted], dtype=np.float64)) for f in (np.mean, np.std))
-    return counted & (mean > level + k_sigma * sd)
+    values = mean[counted]
+    return counted & (mean > float(values.mean() + k_sigma * values.std()))
 
 
 def _sample(z: np.ndarray) -> np.ndarray:
@@ -119,15 +121,18 @@ def _detection_limit(scale: np.ndarray, null: Null, threshold: float, ladder: La
     return float(limit), float(limit * (high - low) / (2 * typical))
 
 
-def _stuck(ladder: Ladder, hot: np.ndarray, rules: Rules) -> np.ndarray:
+def _stuck(ladder: Ladder, offset_local: np.ndarray, hot: np.ndarray, rules: Rules) -> np.ndarray:
     """Pinned at the top in every frame, never changing where noise would, or a high offset that no dark rate explains."""
     levels = ladder.levels
-    stuck = np.all([level.mean_dn >= rules.white_dn for level in levels], axis=0)
+    first = levels[0].mean_dn
+    stuck, same = first >= rules.white_dn, levels[0].constant.copy()
+    for level in levels[1:]:
+        stuck &= level.mean_dn >= rules.white_dn
+        same &= level.constant & (level.mean_dn == first)
     if ladder.noise_known:
-        same = np.all([level.constant & (level.mean_dn == levels[0].mean_dn) for level in levels], axis=0)
         stuck |= defect.never_changing(same, defect.typical(ladder.variance_dn2[0]), sum(level.count for level in levels))
     if ladder.rate_dn_per_s is not None:
-        high = ladder.offset_dn - defect.background(ladder.offset_dn, None) > rules.hot_level * rules.white_dn
+        high = ladder.offset_dn - offset_local > rules.hot_level * rules.white_dn
         stuck |= high & ~hot
     return stuck
 
@@ -148,13 +153,14 @@ def _noisy(ladder: Ladder, quiet: DarkLevel | None, deviation: np.ndarray, rules
     return noisy
 
 
-def _unsteady(ladder: Ladder, significant: np.ndarray, rules: Rules, fetch: Fetch) -> tuple[dict, dict]:
+def _unsteady(ladder: Ladder, significant: np.ndarray, local: tuple[np.ndarray, np.ndarray], fetch: Fetch) -> tuple[dict, dict]:
     """Telegraph pixels, and hits: significant pixels that most frames do not confirm. Telegraph signals are looked for where
-    there are most frames and at the longest exposure, hits at the longest, where they count most."""
+    there are most frames and at the longest exposure, hits at the longest, where they count most. local: of offset and rate."""
     masks = {"telegraph": np.zeros_like(significant), "hit": np.zeros_like(significant)}
     evidence: dict[str, np.ndarray] = {}
     levels = list(zip(ladder.levels, ladder.variance_dn2, strict=True))
-    watched = {id(level): (level, variance) for level, variance in (max(levels, key=lambda v: v[0].count), levels[-1])}
+    watched = {id(level): (level, variance) for level, variance in (
+        max(reversed(levels), key=lambda v: v[0].count), levels[-1])}
     for level, variance in watched.values():
         if level.freedom < 2:
             continue
@@ -163,9 +169,9 @@ def _unsteady(ladder: Ladder, significant: np.ndarray, rules: Rules, fetch: Fetc
         if series is None or not len(series.xy_px):
             continue
         x, y = series.xy_px.T
-        local = defect.background(level.mean_dn, rules.bayer_pattern)[y, x]
+        at = local[0][y, x] + (local[1][y, x] * level.exposure_s if ladder.rate_dn_per_s is not None else 0)
         longest = level is ladder.levels[-1]
-        unconfirmed = significant[y, x] & longest & ~telegraph.confirmed(series.values_dn, local, typical)
+        unconfirmed = significant[y, x] & longest & ~telegraph.confirmed(series.values_dn, at, typical)
         jumping, step, duty = telegraph.two_levels(series.values_dn)
         masks["hit"][y[unconfirmed], x[unconfirmed]] = True
         masks["telegraph"][y[jumping], x[jumping]] = True
@@ -185,14 +191,16 @@ def _nonlinear(ladder: Ladder, rules: Rules) -> np.ndarray:
     noise = np.float32(np.sqrt(defect.typical(ladder.variance_dn2[0])))
     for t, departure, variance in ladder.departures():
         matters = np.maximum(np.abs(ladder.rate_dn_per_s) * np.float32(t * rules.nonlinear), noise)
-        departure = departure - defect.typical(departure)  # what all pixels do together is the sensor's, not the pixel's
-        spread = 1.4826 * defect.typical(np.abs(departure))
-        excess = np.maximum(variance - np.float32(defect.typical(variance)), 0) + np.float32(spread**2 + QUANTISATION_DN2)
-        z = departure / np.sqrt(excess)
-        sample = _sample(z)
-        for side in (1, -1):
-            threshold = fit_null(side * sample).threshold(z.size, rules.false_alarms / (2 * len(ladder.levels)))
-            found |= (side * z > threshold) & (np.abs(departure) > matters)
+        departure -= np.float32(defect.typical(departure))  # what all pixels do together is the sensor's, not the pixel's
+        chosen = np.nonzero(np.abs(departure) > matters)
+        spread = 1.4826 * defect.typical(np.abs(_sample(departure)))
+        common = np.float32(defect.typical(variance))
+
+        floor = np.float32(spread**2 + QUANTISATION_DN2)
+        sample, chosen_z = (some / np.sqrt(np.maximum(of_some - common, 0) + floor) for some, of_some in (
+            (_sample(departure), _sample(variance)), (departure[chosen], variance[chosen])))
+        threshold = fit_null(sample).threshold(departure.size, rules.false_alarms / (2 * len(ladder.levels)))
+        found[chosen] |= np.abs(chosen_z) > threshold
     return found
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..records import Frame
-from ._stack import Accumulator
+from ._stack import Accumulator, Series
 
 GROUP_C = 1.5
 OPEN_BYTES, BYTES_A_PIXEL = 250_000_000, 20  # what open stacks may take together; what the sums of one take
@@ -105,9 +105,20 @@ class DarkLevels:
             exposure_s=key[0], group=key[1], celsius=tuple(self._celsius.get(key, ())),
             mean_dn=series.stack.mean_dn.astype(np.float32), freedom=series.freedom,
             variance_dn2=series.steady_variance_dn2.astype(np.float32) if series.freedom else None,
-            constant=(series.stack.variance_dn2 == 0) if series.freedom else np.ones(series.stack.mean_dn.shape, bool),
+            constant=_constant(series),
             levels_dn=np.asarray(series.levels_dn))
         self._closed[key] = _merged(self._closed[key], level) if key in self._closed else level
+
+
+def _constant(series: Series) -> np.ndarray:
+    """(H, W) bool: the same value in every frame. The sums tell it; they are looked at only where the noise is small."""
+    stack, out = series.stack, np.ones(series.steady_variance_dn2.shape, bool)
+    if series.freedom:
+        drift = float(np.var(series.levels_dn)) * stack.count / series.freedom
+        few = np.nonzero(series.steady_variance_dn2 <= 1.01 * drift + 1e-3)
+        out[:] = False
+        out[few] = stack.sum_sq_dn2[few] * stack.count == stack.sum_dn[few].astype(np.int64) ** 2
+    return out
 
 
 def _merged(a: DarkLevel, b: DarkLevel) -> DarkLevel:

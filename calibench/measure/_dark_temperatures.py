@@ -64,9 +64,9 @@ def _hottest(ladder: Ladder) -> np.ndarray:
 def _counts(ladders: Sequence[Ladder], rules: Rules) -> dict[str, np.ndarray]:
     """Hot pixels at each exposure and temperature, by the absolute limit and by the thesis rule."""
     rows = []
+    everywhere = np.ones(ladders[0].offset_dn.shape, bool)
     for ladder in ladders:
         hot = hot_by_level(ladder, rules)
-        everywhere = np.ones(ladder.offset_dn.shape, bool)
         rows += [(np.nan if level.exposure_s is None else level.exposure_s,
                   np.nan if level.temperature_c is None else level.temperature_c, count,
                   np.count_nonzero(above_mean_plus_sigma(level.mean_dn, everywhere)))
