@@ -10,7 +10,7 @@ from ..errors import BadInput
 from ..records import DISTORTION_NAMES, Intrinsics
 from ._bundle.adjust import COARSE, Solution, adjust
 from ._bundle.outliers import Rejection, without_outliers
-from ._bundle.start import posed, start
+from ._bundle.start import NO_FOCAL, TILT, posed, start
 
 MIN_VIEWS = 3
 MIN_VIEWS_FOR_BOW = 5
@@ -18,6 +18,7 @@ MIN_VIEWS_FOR_HALVES = 6
 CANDIDATE_MODELS = ("brown4", "brown5", "rational8")
 WORTH_A_TERM = 0.99  # each further term has to lower the held-out rms by 1 %: less is chance, and it bends the corners
 CHANCE_SIGMA = 2.0
+SUSPECT_PX = 0.5  # a typical residual that no corners of one camera leave
 
 
 def solve(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str, *,
@@ -36,14 +37,46 @@ def solve(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[in
     """
     kept = np.ones(len(corners_px), bool)
     while True:
-        first = _coarse(corners_px[kept], points_mm, image_size_px, model, skew_free)
+        try:
+            first = _coarse(corners_px[kept], points_mm, image_size_px, model, skew_free)
+        except BadInput:
+            kept[_spoiling(corners_px, kept, points_mm, image_size_px, model, skew_free)[0]] = False
+            continue
         (block,) = first.blocks
         distance = np.where(block.weight > 0, np.linalg.norm(first.residual_px, axis=-1), np.nan)
         typical = np.nanmedian(distance, axis=1)  # one wild corner is no wild view
         worst = int(np.argmax(typical))
+        if len(typical) > MIN_VIEWS and typical[worst] <= worst_view * np.median(typical) and np.median(typical) > SUSPECT_PX:
+            spoiling, others = _spoiling(corners_px, kept, points_mm, image_size_px, model, skew_free)
+            if others < np.median(typical) / worst_view:  # it bent the lens so much that all views fit badly
+                kept[spoiling] = False
+                continue
         if len(typical) <= MIN_VIEWS or typical[worst] <= worst_view * np.median(typical):
             return without_outliers(first, rejection), kept
         kept[np.flatnonzero(kept)[worst]] = False
+
+
+def _spoiling(corners_px: np.ndarray, kept: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str,
+              skew_free: bool) -> tuple[int, float]:
+    """The view without which the others agree best, and their median residual, px: one of another camera can spoil all.
+
+    Raises:
+        BadInput: without any one view the others do not determine the lens either.
+    """
+    misses, refused = {}, None
+    for view in np.flatnonzero(kept) if kept.sum() > MIN_VIEWS else ():
+        others = kept & (np.arange(len(kept)) != view)
+        try:
+            solution = _coarse(corners_px[others], points_mm, image_size_px, model, skew_free)
+        except BadInput as error:
+            refused = error
+            continue
+        (block,) = solution.blocks
+        misses[int(view)] = float(np.median(np.linalg.norm(solution.residual_px, axis=-1)[block.weight > 0]))
+    if not misses:
+        raise refused or BadInput(NO_FOCAL, mend=TILT)
+    best = min(misses, key=misses.get)
+    return best, misses[best]
 
 
 def _coarse(corners_px: np.ndarray, points_mm: np.ndarray, image_size_px: tuple[int, int], model: str,
@@ -108,9 +141,11 @@ def best_model(held_out_px2: dict[str, np.ndarray]) -> str:
     best, *more = held_out_px2
     for model in more:
         old, new = held_out_px2[best], held_out_px2[model]
+        if not np.isfinite(new).all():
+            continue
         further = len(DISTORTION_NAMES[model]) - len(DISTORTION_NAMES[best])
-        gain = old - new
-        if np.isfinite(new).all() and new.mean() < WORTH_A_TERM ** (2 * further) * old.mean() and (
+        gain = old - new  # infinite where the old one was not determined
+        if new.mean() < WORTH_A_TERM ** (2 * further) * old.mean() and (
                 not np.isfinite(old).all() or gain.mean() > CHANCE_SIGMA * gain.std() / np.sqrt(len(gain))):
             best = model
     return best

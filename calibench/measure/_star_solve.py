@@ -16,8 +16,8 @@ from ..errors import BadInput
 from ..records import Identification, Intrinsics
 from ._board_lens import with_model
 from ._bundle import covariance
-from ._bundle.adjust import COARSE, Solution, adjust, evaluated
-from ._bundle.outliers import Rejection, without_outliers
+from ._bundle.adjust import COARSE, FINE, Solution, adjust, evaluated
+from ._bundle.outliers import SETTLING, Rejection, without_outliers
 from ._bundle.star_frames import StarFrames
 
 FIRST_EXTRA_SD_PX = 0.3
@@ -42,11 +42,12 @@ class StarSolution:
 
 
 def solve(lens: Intrinsics, found: Sequence[Identification], model: str, *, rejection: Rejection,
-          worst_frame: float) -> StarSolution:
+          worst_frame: float, tolerance: float = FINE) -> StarSolution:
     """Lens and attitudes from a first guess of the lens.
 
     Args:
-        worst_frame: a frame is dropped whose median residual exceeds the median frame's by this factor.
+        worst_frame: a frame is dropped whose median residual exceeds the median frame's by this factor. tolerance: of the
+            last adjustment, see `adjust`.
 
     Raises:
         BadInput: the stars do not determine the lens, or the guess has no direction for a spot.
@@ -61,11 +62,11 @@ def solve(lens: Intrinsics, found: Sequence[Identification], model: str, *, reje
         if len(typical) <= MIN_FRAMES or typical[worst] <= worst_frame * np.median(typical):
             break
         kept[np.flatnonzero(kept)[worst]] = False
-    solution, extra = without_outliers(first, rejection), FIRST_EXTRA_SD_PX
+    solution, extra = without_outliers(first, rejection, tolerance=max(tolerance, SETTLING)), FIRST_EXTRA_SD_PX
     for _ in range(ROUNDS):
         before, extra = extra, _extra_sd_px(solution, frames)
         weighted = _weighted(solution.blocks[0], frames, extra)
-        solution = without_outliers(adjust(solution.intrinsics, [weighted], tolerance=COARSE), rejection)
+        solution = without_outliers(adjust(solution.intrinsics, [weighted], tolerance=COARSE), rejection, tolerance=tolerance)
         if abs(extra - before) <= SETTLED * before:
             break
     return StarSolution(solution=solution, kept=kept, extra_sd_px=extra)
@@ -114,7 +115,7 @@ def held_out(lens: Intrinsics, found: Sequence[Identification], model: str, *, r
         unseen = np.flatnonzero(fold_of == fold)
         try:
             others = solve(lens, [f for f, i in zip(found, fold_of, strict=True) if i != fold], model, rejection=rejection,
-                           worst_frame=worst_frame)
+                           worst_frame=worst_frame, tolerance=SETTLING)
             fitted = others.solution.intrinsics
             frames = StarFrames.of(fitted, [found[i] for i in unseen])
             posed = adjust(fitted, [_weighted(frames, frames, others.extra_sd_px)], lens_fixed=True, tolerance=COARSE)

@@ -35,6 +35,7 @@ WORTH_ANOTHER_REFINER = 0.8  # of the roughness: less is chance
 MIN_TILT_SPREAD_RAD = np.radians(5)
 MAX_RELATIVE_FOCAL_SD = 0.05
 COVERAGE_CELLS = (8, 6)
+LEAST_DISTANCE_MM, MOST_DISTANCE_MM = 30.0, 50e3  # of a board in a room
 
 LENS_SOURCE = "OpenCV camera model, integer pixel = pixel centre; uncertainty clustered by view (CR2) as far as needed"
 
@@ -92,6 +93,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     if len(solution.score) <= len(classical):
         warnings.append(f"only {len(names)} views for {len(classical)} parameters: uncertainties are themselves uncertain")
     _check_observable(solution, classical)
+    warnings += _distance_warning(solution, settings)
     lens = len(solution.intrinsics.parameter_names)
     intrinsics = dataclasses.replace(solution.intrinsics, covariance=recommended[:lens, :lens])
     warnings += board_lens.refused_warning(settings.model, held_out)
@@ -213,6 +215,14 @@ def _check_observable(solution: Solution, classical: np.ndarray) -> None:
                        f"{np.degrees(spread):.1f} degrees between the views, fx is known to {100 * relative:.2g} %, "
                        f"condition number {condition:.2g}",
                        mend=TILT_ADVICE)
+
+
+def _distance_warning(solution: Solution, settings: Settings) -> list[str]:
+    distance_mm = float(np.median(np.linalg.norm(solution.blocks[0].translation_mm, axis=1)))
+    if LEAST_DISTANCE_MM < distance_mm < MOST_DISTANCE_MM:
+        return []
+    return [f"with squares of {settings.square_mm:g} mm the board stood {distance_mm:.3g} mm away: check --square-mm (the lens "
+            "does not depend on it, the board's bow and distance do)"]
 
 
 def _evidence(solution: Solution, corners: np.ndarray, small: np.ndarray) -> dict[str, np.ndarray]:

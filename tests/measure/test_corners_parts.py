@@ -145,6 +145,11 @@ def test_real_boards_behind_a_hand(real):
     assert placed >= 8
 
 
+def test_noise_is_no_board():
+    noise = np.random.default_rng(4).integers(0, 255, (480, 640)).astype(np.uint8)
+    assert checkerboard_parts.find(noise, TARGET) is None
+
+
 def test_large_images_are_searched_in_larger_pixels():
     image, truth = view()
     large = cv2.resize(image, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)

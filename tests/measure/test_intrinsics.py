@@ -116,3 +116,13 @@ def test_real_boards(real):
     assert -0.19 < result.quantity("board_bow_y_mm").value < -0.15
     classical = result.evidence["uncertainty_classical"]
     assert result.quantity("fx_px").uncertainty > 1.3 * classical[0]
+
+
+@pytest.mark.parametrize("stretch", [(6.0, 0.4), (1.28, 1.0), (1.6, 0.8), (0.25, 1.6)])
+def test_a_view_of_another_camera_spoils_no_other(board_corners, stretch):
+    rng = np.random.default_rng(8)
+    points, corners = board_corners(TRUTH, rng, views=9)
+    corners[6] = corners[6] * stretch + 100
+    solution, _, kept = intrinsics._robust(corners, points, SIZE, "brown4", intrinsics.Settings())
+    assert not kept[6] and kept.sum() >= 7
+    assert solution.intrinsics.fx_px == pytest.approx(530, abs=3)

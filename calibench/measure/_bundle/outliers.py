@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import BadInput
-from .adjust import Solution, adjust
+from .adjust import FINE, Solution, adjust
 
 ROUNDS = 12
+SETTLING = 1e-5  # of the cost: what a step may foresee while points still change sides
 MAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
 
 
@@ -21,20 +22,26 @@ class Rejection:
     most: float
 
 
-def without_outliers(solution: Solution, rejection: Rejection, *, lens_fixed: bool = False) -> Solution:
+def without_outliers(solution: Solution, rejection: Rejection, *, lens_fixed: bool = False,
+                     tolerance: float = FINE) -> Solution:
     """The adjustment with outliers at weight 0, from a first (coarse) solution over all points.
+
+    tolerance: of the adjustment, see `adjust`; while points still change sides SETTLING is enough.
 
     Raises:
         BadInput: the lens that fits folds before a point that counts.
     """
-    given = [block.weight for block in solution.blocks]
+    given, fine = [block.weight for block in solution.blocks], False
     for tried in range(ROUNDS):
         keep = [_inliers(residual, block.weight, weight, rejection)
                 for residual, block, weight in zip(solution.residuals_px, solution.blocks, given, strict=True)]
-        if tried and all((k == (b.weight > 0)).all() for k, b in zip(keep, solution.blocks, strict=True)):
+        settled = tried > 0 and all((k == (b.weight > 0)).all() for k, b in zip(keep, solution.blocks, strict=True))
+        if settled and fine:
             break
         blocks = [b.weighted(np.where(k, w, 0.0)) for b, k, w in zip(solution.blocks, keep, given, strict=True)]
-        solution = adjust(solution.intrinsics, blocks, lens_fixed=lens_fixed)
+        fine = settled or tried == ROUNDS - 1
+        solution = adjust(solution.intrinsics, blocks, lens_fixed=lens_fixed,
+                          tolerance=tolerance if fine else max(tolerance, SETTLING))
     if solution.folds:
         raise BadInput(f"the lens model {solution.intrinsics.model} does not suit this lens: fitted, it folds inside the image",
                        mend="ask for a model of more terms, or for a fisheye")

@@ -16,7 +16,7 @@ SMOOTH_PX = 1.2
 APART_PX = 4
 WEAKEST = 0.02  # of the strongest corners' second derivatives
 STRONGEST = 50  # that many tell what a strong one is
-MOST = 4000
+MOST = 1500  # more are no board but noise
 RING_PX = 4.0
 RING = 16
 LEAST_LIKENESS = 0.6  # correlation of the ring with itself after half a turn
@@ -52,7 +52,8 @@ def saddles(grey: np.ndarray) -> Saddles:
 def sampled(image: np.ndarray, xy_px: np.ndarray) -> np.ndarray:
     """Light (...) of a float32 image at places (..., 2) px, bilinear; NaN outside."""
     x, y = np.moveaxis(xy_px.astype(np.float32), -1, 0)
-    flat = cv2.remap(image, x.reshape(1, -1), y.reshape(1, -1), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    rows = (-1, x.shape[-1])  # OpenCV takes no row of 32768 and more
+    flat = cv2.remap(image, x.reshape(rows), y.reshape(rows), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     outside = (x < 0) | (y < 0) | (x > image.shape[1] - 1) | (y > image.shape[0] - 1)
     return np.where(outside, np.nan, flat.reshape(x.shape))
 

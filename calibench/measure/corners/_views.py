@@ -129,23 +129,24 @@ def check_board_size(found: Sequence[tuple[np.ndarray, np.ndarray]], missed: Seq
     """Ask whether the board is larger than said or, where it was never found, of a neighbouring size.
 
     Args:
-        found: some views that show it with its points (P, 2) px, NaN: not seen. missed: some that do not. Where no view shows
-            all of the points, a neighbouring size is sought as if none had been found.
+        found: some views that show it with its points (P, 2) px, NaN: not seen. missed: some that do not. Where few
+            views show all of the points, a neighbouring size is sought as if none had been found.
 
     Raises:
         BadInput: another size is what most of the probed views show.
     """
     columns, rows = target.board
-    size, views = target.board, [grey for grey, _ in found] or list(missed)
+    size, views = target.board, [grey for grey, _ in found] + list(missed)
 
     def seen(size: tuple[int, int]) -> bool:
         there = [module.find(grey, dataclasses.replace(target, board=size)) for grey in views]
         return sum(xy is not None and bool(np.isfinite(xy).all()) for xy in there) * 2 > len(views)
 
     whole = [(grey, xy) for grey, xy in found if np.isfinite(xy).all()]
-    if whole and not any(module.may_go_on(grey, xy, size) for grey, xy in whole):
+    usual = bool(whole) and len(whole) >= len(missed)
+    if usual and not any(module.may_go_on(grey, xy, size) for grey, xy in whole):
         return
-    if not whole:
+    if not usual:
         around = ((columns + i, rows + j) for i in (1, 0, -1) for j in (1, 0, -1))
         size = next((s for s in around if s != target.board and min(s) > 2 and seen(s)), target.board)
     while larger := next((s for s in ((size[0] + 1, size[1]), (size[0], size[1] + 1)) if seen(s)), None):
