@@ -23,18 +23,24 @@ def solve(frames: Frames, map_: Map = None,
           fov_deg: Annotated[float | None, typer.Option(help="Horizontal field, degrees, to 10 %; without a map.",
                                                         min=0.5, max=120)] = None,
           identify: Identify = "pattern", attitude: AttitudeName = "quest", detector: Detector = "scan",
-          centroid: Centroid = "poisson", k_sigma: KSigma = None, false_alarms: FalseAlarms = 1.0,
+          centroid: Centroid = "psf_map", k_sigma: KSigma = None, false_alarms: FalseAlarms = 1.0,
           station: Annotated[str | None, typer.Option(help="Place or velocity, air, shutter: a TOML file, or its keys written "
                                                            "out: 'latitude_deg = 48.2; longitude_deg = 16.4'.")] = None,
+          track: Annotated[bool, typer.Option("--track", help="Frames follow each other: each from the one before.")] = False,
+          catalogue: Annotated[Path | None, typer.Option(help="Star table of this camera, from `catalogue build`.")] = None,
+          csv: Annotated[Path | None, typer.Option(help="Also write one line for each frame.")] = None,
           json_: Json = False) -> None:
     """Where each frame looks: spots, star identification, attitude."""
     import math
 
+    from ..io.csv_table import write_csv
     from ..io.frames import find_frames
     from ..io.map_file import read_map
+    from ..io.star_table import SHIPPED, load_star_table
     from ..io.station import read_station
-    from ..session.results import solved_json
+    from ..session.results import CSV_COLUMNS, solved_json
     from ..session.sky import Sky, solve_files
+    from ..session.track import Track
     settings = _settings(detector, centroid, attitude, identify, k_sigma, false_alarms)
     calmap = read_map(map_) if map_ else None
     lens_known = calmap is not None and "intrinsics" in calmap.measured
@@ -42,14 +48,17 @@ def solve(frames: Frames, map_: Map = None,
     paths = find_frames(frames)
     if lens_known and fov_deg is not None:
         say("the map's lens is used; --fov-deg is not needed and was not used")
-    sky, out = Sky(method=identify, station=read_station(station) if station else None), []
+    sky, out = Sky(method=identify, table=load_star_table(catalogue or SHIPPED),
+                   station=read_station(station) if station else None), []
     with progress() as tell:
         named = frozenset(path for path in paths if path in frames)
         stars = sky.table
         for i, solved in enumerate(solve_files(paths, sky, calmap, fov_rad=math.radians(fov_deg) if fov_deg else None,
-                                               settings=settings, named=named)):
+                                               settings=settings, named=named, solve=Track(sky).solve if track else None)):
             tell("solve", i + 1, len(paths))
             out.append(solved_json(solved, calmap, (stars.hip, stars.hp_mag)))
+    if csv:
+        write_csv(csv, out, CSV_COLUMNS)
     if json_:
         print_json({"frames": out, "map": str(map_) if map_ else None, "identify": identify, "attitude": attitude})
     else:
@@ -92,7 +101,7 @@ def validate(frames: Frames,
              truth: Annotated[Path | None, typer.Option(help="truth.toml of a rendered session; without it the residual of the "
                                                              "matched stars is the measure.")] = None,
              trial: Annotated[str, typer.Option(help="Which trial.")] = "ablation", identify: Identify = "pattern",
-             attitude: AttitudeName = "quest", detector: Detector = "scan", centroid: Centroid = "poisson",
+             attitude: AttitudeName = "quest", detector: Detector = "scan", centroid: Centroid = "psf_map",
              k_sigma: KSigma = None, false_alarms: FalseAlarms = 1.0, json_: Json = False) -> None:
     """What each layer of a map earns, in arcseconds, on sky frames."""
     from .. import registry

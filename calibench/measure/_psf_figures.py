@@ -51,14 +51,13 @@ def _at_place(psf: PsfMap, xy_px: np.ndarray, radius_px: int) -> dict[str, float
     image = light(psf, xy_px, fine, fine)
     middle = radius_px * FINE
     pixels = image[middle % FINE::FINE, middle % FINE::FINE]
-    core = np.add.reduce([image[middle + FINE * j:, middle + FINE * i:][0, 0] for j in (-1, 0, 1) for i in (-1, 0, 1)])
-    phases = np.arange(-FINE // 2, FINE // 2 + 1)
-    ensquared = [sum(image[middle + FINE * j + p, middle + FINE * i + q] for j in (-1, 0, 1) for i in (-1, 0, 1))
-                 for p in phases for q in phases]
+    half = FINE // 2  # every phase of the spot in its pixel, and the eight pixels around
+    near = [slice(middle + FINE * i - half, middle + FINE * i + half + 1) for i in (-1, 0, 1)]
+    ensquared = sum(image[rows, columns] for rows in near for columns in near)
     top, left = np.unravel_index(image.argmax(), image.shape)
     return {"fwhm_x_px": _width(image[top], fine), "fwhm_y_px": _width(image[:, left], fine),
-            "central_pixel_fraction": float(image[middle, middle]), "ensquared_3x3_fraction": float(core),
-            "ensquared_3x3_worst_fraction": float(min(ensquared)),
+            "central_pixel_fraction": float(image[middle, middle]), "ensquared_3x3_fraction": float(ensquared[half, half]),
+            "ensquared_3x3_worst_fraction": float(ensquared.min()),
             "effective_pixels": float(pixels.sum() ** 2 / (pixels**2).sum()),
             "asymmetry": float(np.abs(image - _turned(image, top, left)).sum() / image.sum() / 2)} | _transfer(psf, xy_px)
 

@@ -94,7 +94,7 @@ class SolveTable(_Table):
     """[solve]: which methods the sky wing uses."""
 
     detector: str = "scan"
-    centroid: str = "poisson"
+    centroid: str = "psf_map"
     identify: str = "pattern"
     attitude: str = "quest"
     false_alarms: float = Field(default=1.0, gt=0, lt=1e6)

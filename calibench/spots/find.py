@@ -24,7 +24,7 @@ ROUGH_SD_PX = 0.5
 
 
 def find_spots(corrected: CorrectedFrame, psf: PsfMap, *, psf_known: bool = False, detector: str = "scan",
-               centroider: str = "poisson", k_sigma: float | None = None, false_alarms: float = FALSE_ALARMS) -> Spots:
+               centroider: str = "psf_map", k_sigma: float | None = None, false_alarms: float = FALSE_ALARMS) -> Spots:
     """Spots of a frame; `psf_known` says whether the map's PSF was measured.
 
     k_sigma: detection threshold; None: the one at which noise alone gives `false_alarms` spots a frame, where the detector can

@@ -14,9 +14,10 @@ from time import perf_counter
 import numpy as np
 
 from ..geometry import projection, rotation, sphere
-from ..records import Attitude, CalibrationMap, CorrectedFrame, Identification, Intrinsics, Observer, PsfMap, Spots
+from ..records import Attitude, CalibrationMap, CorrectedFrame, Frame, Identification, Intrinsics, Observer, PsfMap, Spots
 from ..spots.find import FALSE_ALARMS, find_spots
 from .astrometry import as_observed
+from .find_stars import FindState, find_stars
 from .frame_attitude import attitude_without_outliers, spot_weights
 from .lens_error import systematic
 from .lost_in_space import LostInSpace
@@ -79,10 +80,11 @@ class Solver:
     finder: LostInSpace
     attitude_method: str = "quest"
     detector: str = "scan"
-    centroider: str = "poisson"
+    centroider: str = "psf_map"
     k_sigma: float | None = None
     false_alarms: float = FALSE_ALARMS
     familiar: dict[tuple[int, int], Intrinsics] = field(default_factory=dict)
+    series: FindState = field(default_factory=FindState)
 
     def solve(self, corrected: CorrectedFrame, lens: Lens, observer: Observer | None = None) -> Solution:
         """Solve one corrected frame. observer: the frame's own, where it is more exact than that of the finder's sky.
@@ -90,14 +92,26 @@ class Solver:
         Raises:
             UsageError: an unknown detector, centroider, identifier or attitude method.
         """
-        size = corrected.signal_dn.shape[::-1]
-        clock = [perf_counter()]
+        size, start = corrected.signal_dn.shape[::-1], perf_counter()
         spots = find_spots(corrected, lens.psf or PsfMap.unknown(size), psf_known=lens.psf is not None,
                            detector=self.detector, centroider=self.centroider, k_sigma=self.k_sigma,
                            false_alarms=self.false_alarms)
-        clock.append(perf_counter())
+        return self._from_spots(spots, size, corrected.file, lens, observer, [start, perf_counter()])
+
+    def solve_raw(self, frame: Frame, calmap: CalibrationMap, observer: Observer | None = None) -> Solution:
+        """Solve one raw frame of a series through the map, fast: only the windows about its spots are corrected (find_stars).
+
+        Raises:
+            BadInput: the frame has another size than the map. UsageError: an unknown identifier or attitude method.
+        """
+        start = perf_counter()
+        spots = find_stars(frame, calmap, self.series)
+        return self._from_spots(spots, frame.image_size_px, frame.file, Lens.of(calmap), observer, [start, perf_counter()])
+
+    def _from_spots(self, spots: Spots, size: tuple[int, int], file: str, lens: Lens, observer: Observer | None,
+                    clock: list[float]) -> Solution:
         found = self.finder.identify(spots, size, lens=lens.intrinsics, fov_rad=lens.fov_rad, familiar=self.familiar.get(size))
-        found = replace(found, file=corrected.file)
+        found = replace(found, file=file)
         clock.append(perf_counter())
         observer = observer or self.finder.sky.observer
         if found.status == "solved":
@@ -109,7 +123,7 @@ class Solver:
             attitude = Attitude.unsolved(status=found.status, method=self.attitude_method, reason=found.reason)
         clock.append(perf_counter())
         timings = dict(zip(("detect", "identify", "attitude"), np.diff(clock).tolist(), strict=True))
-        solution = Solution(file=corrected.file, spots=spots, identification=found, attitude=attitude, timings_s=timings)
+        solution = Solution(file=file, spots=spots, identification=found, attitude=attitude, timings_s=timings)
         return completed(solution, observer, calibrated=lens.intrinsics is not None)
 
 
