@@ -8,7 +8,7 @@ import sys
 import typer
 
 from ..errors import CalibenchError
-from . import maps, measuring, sessions, simulating, sky, transfer
+from . import catalogue, maps, measuring, sessions, simulating, sky, transfer
 
 TyperUsageError = typer.BadParameter.__base__  # typer exports only this child of its usage error
 
@@ -19,6 +19,7 @@ for room in (sessions, measuring, transfer, sky):
     for command in room.COMMANDS:
         app.command(name=command.__name__.replace("_", "-"))(command)
 app.add_typer(maps.app, name="map")
+app.add_typer(catalogue.app, name="catalogue")
 app.add_typer(simulating.app, name="simulate")
 
 

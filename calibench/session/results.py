@@ -73,7 +73,7 @@ def solved_json(solved: SolvedFrame, calmap: CalibrationMap | None, stars: tuple
     return out | {"map_outside_conditions": bool(solved.outside), "warnings": [*solved.outside, *solved.warnings],
                   "spot_flags": flags, "frame_notes": list(solved.frame.notes) if solved.frame else [],
                   "lens_from": "map" if lens_known else "fitted to this frame",
-                  "time_utc": solved.observer.time_utc or None,
+                  "time_utc": solved.observer.time_utc or None, "identified_by": found.method,
                   "timings_ms": {k: round(1e3 * v, 3) for k, v in solution.timings_s.items()}}
 
 
@@ -95,6 +95,13 @@ def pointing_json(solution: Solution) -> dict:
         "matches": len(residual), "spots": len(solution.spots), "residual_rms_px": rms_px,
         "residual_rms_arcsec": rms_px / lens.fx_px * ARCSEC if good else None,
         "false_match_probability": solution.identification.false_match_probability}
+
+
+# What a series' CSV holds of each frame, in this order.
+CSV_COLUMNS = ("file", "time_utc", "status", "ra_deg", "dec_deg", "roll_deg", "fov_deg", "mirrored", "q_cam_icrs",
+               "sigma_cross_arcsec", "sigma_roll_arcsec", "sigma_systematic_cross_arcsec", "sigma_systematic_roll_arcsec",
+               "matches", "spots", "residual_rms_px", "residual_rms_arcsec", "false_match_probability", "identified_by",
+               "reason")
 
 
 def verdict_json(verdict: Verdict) -> dict:

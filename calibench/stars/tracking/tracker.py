@@ -32,6 +32,7 @@ MOST_STARS = 24
 FEWEST_STARS = 4
 MARGIN_RAD = 0.05  # how far the boresight may wander before the field's stars are gathered anew
 FIRST_REACH_PX, LEAST_REACH_PX, MOST_REACH_PX = 8, 3, 12
+LARGEST_TURN_RAD = 0.1  # between two frames; a larger one is a new target, not a rate
 AGREES_SIGMA = 4.0
 CROWDED_PX, FAINTER_MAG = 8.0, 4.0  # a star has no neighbour this near that is less than so much fainter
 SMALLEST_CIRCLE_PX = 0.3
@@ -71,15 +72,19 @@ class Tracker:
     _matrix: np.ndarray | None = None
     _time_s: float = 0.0
     _reach_px: int = FIRST_REACH_PX
+    _started: bool = False
     _field: Field | None = None
 
     def __post_init__(self) -> None:
         self.drift = LensDrift.of(self.lens)
 
     def start(self, q_cam_icrs: np.ndarray, time_s: float) -> None:
-        """Begin with a known attitude. The rate follows from two starts in a row, or from the frames tracked."""
+        """Begin with a known attitude. The rate follows from two starts in a row, or from the frames tracked; where a track
+        broke off, the way from there to here is a jump and no rate."""
+        if not self._started:
+            self._matrix = self.rate_rad_s = None
         self._moved_to(rotation.matrix_from_quaternion(q_cam_icrs), time_s)
-        self._reach_px = FIRST_REACH_PX
+        self._reach_px, self._started = FIRST_REACH_PX, True
 
     def follow(self, frame: Frame, time_s: float, observer: Observer) -> tuple[Spots, Identification, Attitude]:
         """Spots, identification and attitude of the next frame; status `rejected` where the track is lost."""
@@ -162,6 +167,7 @@ class Tracker:
         self.drift = self.drift.after(information, gradient)
         self._follow_closely(lens, matrix, fitted)
         self._moved_to(fitted, time_s)
+        self._started = False
         attitude = Attitude(status="solved", method=METHOD, q_cam_icrs=rotation.quaternion_from_matrix(fitted),
                             covariance_rad2=spread * scale, residual_px=residual)
         identification = Identification(
@@ -178,7 +184,8 @@ class Tracker:
 
     def _moved_to(self, matrix: np.ndarray, time_s: float) -> None:
         if self._matrix is not None and time_s > self._time_s:
-            self.rate_rad_s = -rotation.rotvec_from_matrix(matrix @ self._matrix.T) / (time_s - self._time_s)
+            turn = rotation.rotvec_from_matrix(matrix @ self._matrix.T)
+            self.rate_rad_s = -turn / (time_s - self._time_s) if np.linalg.norm(turn) < LARGEST_TURN_RAD else None
         self._matrix, self._time_s = matrix, time_s
 
     def _lost(self, spots: Spots, why: str, odds: float = 1.0) -> tuple[Spots, Identification, Attitude]:
