@@ -19,7 +19,7 @@ MAX_EQUAL = 0.9  # of the pixels at one value: a picture without noise is no pic
 WIDE = 0.8
 BRIGHT_SIGMA = 20.0
 MOST_WIDE, MOST_WIDE_SHARE = 8, 0.15
-SAMPLE_PX = 100_000
+SAMPLE_PX = 20_000
 PROBED_PX = 1024  # the middle of a large frame is enough
 MEND = "cap the lens, close the room; were the folders swapped? If it is dark all the same, state bit_depth in a sidecar"
 
@@ -55,7 +55,8 @@ def _why_not(frame: Frame) -> str | None:
     middle = _middle(frame.data)
     steps = np.abs(np.diff(sample.astype(np.float32), axis=1))  # of neighbours in the sample: a gradient does not count
     noise = 1.4826 / np.sqrt(2) * float(np.median(steps)) if steps.size else 0.0
-    if np.count_nonzero(middle > seen.blocks_dn.min() + BRIGHT_SIGMA / 2 * noise) <= MOST_WIDE:
+    bright = int(seen.blocks_dn.min() + BRIGHT_SIGMA / 2 * noise)
+    if seen.largest <= bright or np.count_nonzero(middle > bright) <= MOST_WIDE:
         return None  # too few bright pixels for so many points, wherever the background is lowest
     wide, peaks = wide_peaks(middle)
     if wide > MOST_WIDE and wide > MOST_WIDE_SHARE * peaks:

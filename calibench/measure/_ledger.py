@@ -51,7 +51,7 @@ class Ledger:
             return False
         if frame.kind in ("dark", "flat"):
             seen = glance(frame)
-            if seen.noisy and seen.digest in self._seen:
+            if seen.digest in self._seen and seen.noisy:
                 self.reject(frame, f"the same pixels as {self._seen[seen.digest]}, to the last bit of their noise")
                 return False
             self._seen[seen.digest] = frame.name
