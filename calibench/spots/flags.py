@@ -7,11 +7,12 @@ from scipy.special import erf
 
 from ..records import SPOT_FLAGS, PsfMap
 from .candidates import Candidates
+from .detect.kernels import TRAIL_ELONGATION
+from .kernels import crowded
 from .psf import moments_at
 from .scene import Centroids
 
 EDGE_PX = 2
-TRAIL_ELONGATION = 3.0
 BLEND_PX = 4.0  # two spots nearer than this stand in one window
 SHARPER_SIGMA = 5.0  # a centre above what the PSF allows by this many sigma ...
 SHARPER_BY = 1.15  # ... and by this factor, because the PSF map is not exact
@@ -31,26 +32,15 @@ def flag(candidates: Candidates, found: Centroids, *, signal: np.ndarray, noise_
         "saturated": saturated.any((1, 2)),
         "defect": broken.any((1, 2)),
         "edge": (x < EDGE_PX) | (y < EDGE_PX) | (x > w - 1 - EDGE_PX) | (y > h - 1 - EDGE_PX),
-        "blend": candidates.blend | _crowded(candidates.xy_px),
+        "blend": candidates.blend | crowded(np.ascontiguousarray(candidates.xy_px, float), BLEND_PX),
         "trail": candidates.elongation > TRAIL_ELONGATION,
         "fit_failed": ~found.ok,
         "cosmic": np.zeros(len(x), bool) if psf is None else _sharper(found, candidates, signal, noise_dn, psf, gain_dn_per_e),
     }
-    return np.sum([SPOT_FLAGS[name] * on for name, on in conditions.items()], axis=0).astype(np.uint16)
-
-
-def _crowded(xy_px: np.ndarray) -> np.ndarray:
-    """Spots with another one nearer than BLEND_PX."""
-    order = np.argsort(xy_px[:, 1], kind="stable")
-    sorted_xy, near = xy_px[order], np.zeros(len(xy_px), bool)
-    for step in range(1, len(xy_px)):
-        apart = sorted_xy[step:] - sorted_xy[:-step]
-        close = apart[:, 1] < BLEND_PX
-        if not close.any():
-            break
-        pair = np.flatnonzero(close & (np.hypot(*apart.T) < BLEND_PX))
-        near[order[pair]] = near[order[pair + step]] = True
-    return near
+    flags = np.zeros(len(x), np.uint16)
+    for name, on in conditions.items():
+        flags[on] |= SPOT_FLAGS[name]
+    return flags
 
 
 def _sharper(found: Centroids, candidates: Candidates, signal: np.ndarray, noise_dn: np.ndarray, psf: PsfMap,
@@ -60,7 +50,7 @@ def _sharper(found: Centroids, candidates: Candidates, signal: np.ndarray, noise
     inner, outer = (erf(half / np.sqrt(2 * moments[:, :2])) for half in (0.5, 1.5))
     allowed = np.prod(inner / outer, axis=1)
     total = np.maximum(signal.sum((1, 2)), 1e-6)
-    shot = np.nan_to_num(gain_dn_per_e) * np.maximum(signal[:, 1, 1], 0)
+    shot = (gain_dn_per_e if np.isfinite(gain_dn_per_e) else 0.0) * np.maximum(signal[:, 1, 1], 0)
     sd = np.sqrt(noise_dn**2 * (1 + 8 * allowed**2) + shot * (1 - allowed) ** 2) / total
     part = signal[:, 1, 1] / total
     return (part > SHARPER_BY * allowed) & (part - allowed > SHARPER_SIGMA * sd)

@@ -35,6 +35,18 @@ def cut(image, centre_xy, radius, outside):
 
 
 @compiled
+def crowded(xy, apart):
+    """Whether each of (N, 2) points has another one nearer than `apart`: (N,) bool."""
+    near = np.zeros(len(xy), np.bool_)
+    for n in range(len(xy)):
+        for m in range(n):
+            dx, dy = xy[n, 0] - xy[m, 0], xy[n, 1] - xy[m, 1]
+            if dx * dx + dy * dy < apart * apart:
+                near[n] = near[m] = True
+    return near
+
+
+@compiled
 def cell_statistics(image, cell, floor):
     """Level and 1-sigma noise of the cells of an image (H, W) float32, NaN where a pixel does not count.
 

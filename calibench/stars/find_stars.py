@@ -90,7 +90,7 @@ def find_stars(frame: Frame, calmap: CalibrationMap, state: FindState) -> Spots:
     gain = calmap.gain_dn_per_e
     labels, lowest = state.room(data.shape)
     candidates = candidates_on(data, sky.thresholds, sky.k_sigma * louder, drift=moved, labels=labels, lowest=lowest,
-                               gain_dn_per_e=float(np.nan_to_num(gain)))
+                               gain_dn_per_e=float(gain) if np.isfinite(gain) else 0.0)
     if len(candidates) == 0:
         return Spots.none()
     if len(candidates) > MOST_SPOTS:
@@ -120,7 +120,8 @@ def _spots(candidates, found, windows: Windows, noise: np.ndarray, shape: tuple[
     defects, background = windows.defects[part], np.where(found.ok, found.background_dn, 0.0)
     saturated = (defects & DEFECT_FLAGS["saturated"]) != 0
     broken = (defects & (UNUSABLE & ~DEFECT_FLAGS["saturated"])) != 0
-    light = np.where(broken, 0.0, np.nan_to_num(windows.signal_dn[part]) - background[:, None, None])
+    light = windows.signal_dn[part] - background[:, None, None]
+    light[broken | ~np.isfinite(light)] = 0.0
     flags = flag(candidates, found, signal=light, noise_dn=noise, saturated=saturated, broken=broken,
                  image_size_px=shape[::-1], psf=calmap.psf if known else None, gain_dn_per_e=calmap.gain_dn_per_e)
     xy = np.where(found.ok[:, None], found.xy_px, candidates.xy_px)

@@ -16,7 +16,8 @@ SEED_SIGMA = 3.0  # a spot's brightest pixel is above this
 SHARPEST = 0.85  # of the light of 3x3 pixels in one: a hot pixel or a particle, sharper than the optics of any star camera
 CELL_PX = 64  # in which the sky's drift since the threshold map was made is followed
 GROW_SIGMA = 2.5  # a spot's pixels: connected to its peak and above this
-CONTRAST_SIGMA, CONTRAST = 4.0, 0.1  # a second peak stands out of the saddle by this many sigma, and this part of itself
+CONTRAST_SIGMA, CONTRAST = 5.0, 0.1  # a second peak stands out of the saddle by this many sigma, and this part of itself
+TRAIL_ELONGATION, TRAIL_CONTRAST = 3.0, 0.5  # in light as long as this a trail's noise makes peaks: this part of itself then
 LEAST_TO_JUDGE = 6  # fewer pixels tell no elongation
 COLUMNS = 11  # of what grow gives
 
@@ -107,7 +108,7 @@ def scan(data, seed, blocked, expected, noise, coarse, level, least, most):
 
 
 @compiled
-def _stands_out(data, expected, noise, level, y, x, score, other_y, other_x, gain):
+def _stands_out(data, expected, noise, level, y, x, score, other_y, other_x, gain, contrast):
     """Whether a peak is separated by a real saddle from a brighter one of the same spot."""
     steps = max(abs(other_y - y), abs(other_x - x))
     lowest = score
@@ -116,12 +117,13 @@ def _stands_out(data, expected, noise, level, y, x, score, other_y, other_x, gai
         lowest = min(lowest, score_at(data, expected, noise, level, j, i)[0])
     sigma = noise[y, x]
     shot = gain * max(data[y, x] - expected[y, x], 0.0) / (sigma * sigma)
-    return score - lowest > max(CONTRAST_SIGMA * sqrt(1.0 + shot), CONTRAST * score)
+    return score - lowest > max(CONTRAST_SIGMA * sqrt(1.0 + shot), contrast * score)
 
 
 @compiled
-def _flood(data, expected, noise, level, labels, lowest, label, y, x, stack, largest):
-    """Labels the pixels connected to (x, y); their number, also when it is beyond `largest` (the rest is left then)."""
+def _flood(data, expected, noise, level, labels, lowest, owner, label, y, x, stack, largest):
+    """Labels the pixels connected to (x, y); their number; beyond `largest` the rest is left, and what
+    touches such light (owner -1) belongs to it."""
     h, w = data.shape
     stack[0] = y * w + x
     labels[y, x] = label
@@ -132,7 +134,10 @@ def _flood(data, expected, noise, level, labels, lowest, label, y, x, stack, lar
         for j in range(max(j0 - 1, 0), min(j0 + 2, h)):
             for i in range(max(i0 - 1, 0), min(i0 + 2, w)):
                 e = expected[j, i]
-                if labels[j, i] < lowest and e == e:
+                there = labels[j, i]
+                if there >= lowest and there != label and owner[there - lowest] < 0:
+                    return largest + 1
+                if there < lowest and e == e:
                     if data[j, i] - e > (GROW_SIGMA + level[j // CELL_PX, i // CELL_PX]) * noise[j, i]:
                         labels[j, i] = label
                         stack[count] = j * w + i
@@ -180,26 +185,29 @@ def grow(data, expected, noise, level, rows, columns, scores, gain, largest, lab
     stack = np.empty(largest + 16, np.int64)
     out = np.zeros((len(rows), COLUMNS))
     owner = np.zeros(len(rows), np.int64)  # of a label: its first spot, -1 where it is no star
+    elongation = np.zeros(len(rows))  # of the whole light, where two spots share it as well
     count = labelled = 0
     for n in range(len(rows)):
         y, x = rows[n], columns[n]
         if labels[y, x] < lowest:
-            size = _flood(data, expected, noise, level, labels, lowest, lowest + labelled, y, x, stack, largest)
+            size = _flood(data, expected, noise, level, labels, lowest, owner, lowest + labelled, y, x, stack, largest)
             owner[labelled] = count if size <= largest else -1
             labelled += 1
             if size > largest:
                 continue
             _shape(data, expected, noise, level, stack, size, y, x, out[count])
+            elongation[count] = out[count, 5]
             out[count, 6], out[count, 7], out[count, 8], out[count, 10] = x, y, scores[n], count
             count += 1
             continue
         first = owner[labels[y, x] - lowest]
         if first < 0:
             continue
-        alone = True
+        alone, contrast = True, TRAIL_CONTRAST if elongation[first] > TRAIL_ELONGATION else CONTRAST
         for k in range(first, count):
             if out[k, 10] == first and alone:
-                alone = _stands_out(data, expected, noise, level, y, x, scores[n], int(out[k, 7]), int(out[k, 6]), gain)
+                alone = _stands_out(data, expected, noise, level, y, x, scores[n], int(out[k, 7]), int(out[k, 6]), gain,
+                                     contrast)
         if alone:
             stack[0], near = y * w + x, 1
             for j in range(max(y - 1, 0), min(y + 2, h)):

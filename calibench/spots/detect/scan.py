@@ -17,7 +17,7 @@ from ..false_alarms import NoiseLaw, k_for_false_alarms
 from ..threshold_map import ThresholdMap, threshold_map
 from . import kernels
 
-LARGEST_FRACTION, LARGEST_AT_LEAST = 2e-3, 100  # of the frame's area, pixels; beyond: a roof, a moon, a cloud
+LARGEST_FRACTION, LARGEST_AT_LEAST = 2e-3, 1000  # of the frame's area, pixels; beyond: a roof, a moon, a cloud
 MOST_PEAKS = 20_000  # the first of the frame; it is full of something else than stars
 
 
