@@ -27,10 +27,12 @@ from ..numbers import number, percent, plural, stated, with_uncertainty
 from ..section import Figure, Section, Table
 from ..story import Story
 from ..tables import quantity_table
+from . import _dark_search as search
 
 ORDER = 30
 TITLE = "Dark: offset, dark rate, hot pixels"
-MARKS = {"hot": (RED, "o"), "warm": (ORANGE, "."), "stuck": (INK, "s"), "noisy": (GREEN, "^"), "hot_thesis": (BLUE, "+")}
+MARKS = {"hot": (RED, "o"), "warm": (ORANGE, "."), "stuck": (INK, "s"), "noisy": (GREEN, "^"),
+         "telegraph": (GREEN, "v"), "nonlinear": (GREY, "x"), "hot_thesis": (BLUE, "+")}
 
 
 def render(story: Story) -> Section | None:
@@ -38,9 +40,11 @@ def render(story: Story) -> Section | None:
     if measurement is None:
         return None
     gain = story.calmap.gain_dn_per_e
-    figures = (_offset(measurement), _rate(measurement, gain), _rate_histogram(measurement, gain), _defect_map(measurement),
-               _ladder(measurement))
-    tables = (quantity_table("Dark figures", measurement.quantities), _classes(measurement), _exposures(measurement))
+    figures = (_offset(measurement), _rate(measurement, gain), _rate_histogram(measurement, gain),
+               search.null_histogram(measurement),
+               _defect_map(measurement), search.temperature(measurement), search.telegraph(measurement), _ladder(measurement))
+    tables = (quantity_table("Dark figures", measurement.quantities), _classes(measurement), _exposures(measurement),
+              search.counts(measurement))
     return Section(paragraphs=(_summary(measurement),), warnings=measurement.warnings,
                    tables=tuple(t for t in tables if t is not None), figures=tuple(f for f in figures if f is not None))
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.patches import Circle
 
 from ...records import DEFECT_FLAGS, Measurement
 from ..draw import BLUE, DIVERGING, FAINT, GREY, HALF, INK, middle, png, sensor_image, sensor_sheet, sheet
 from ..layers import layer
 from ..numbers import number, percent, plural, sentence, with_uncertainty
-from ..section import Figure, Section
+from ..section import Figure, Section, Table
 from ..story import Story
 from ..tables import quantity_table
 
 ORDER = 40
 TITLE = "Flat: response and illumination"
+MOST_DUST = 12
 
 
 def render(story: Story) -> Section | None:
@@ -23,8 +25,8 @@ def render(story: Story) -> Section | None:
     figures = (_response(measurement), _illumination(measurement), _histogram(measurement), _transfer(measurement))
     summary = (f"{plural(measurement.frames_used, 'frame')} used. The response belongs to the sensor and is divided out of "
                "every frame; the illumination belongs to lamp and lens and is not.")
-    return Section(paragraphs=(summary,), warnings=measurement.warnings,
-                   tables=(quantity_table("Flat figures", measurement.quantities),),
+    tables = (quantity_table("Flat figures", measurement.quantities), _dust(measurement))
+    return Section(paragraphs=(summary,), warnings=measurement.warnings, tables=tuple(t for t in tables if t is not None),
                    figures=tuple(f for f in figures if f is not None))
 
 
@@ -36,14 +38,32 @@ def _response(measurement: Measurement) -> Figure | None:
     percent_above = 100 * (response - 1)
     reach = np.abs(middle(percent_above)).max()
     sensor_image(axes, percent_above, "response above the mean (%)", cmap=DIVERGING, limits=(-reach, reach))
+    dust, wide = (measurement.evidence.get(f"dust_{name}", np.zeros((0, 2))) for name in ("xy_px", "diameter_px"))
+    for (x, y), diameter in zip(dust, wide, strict=True):
+        axes.add_patch(Circle((x, y), diameter, fill=False, edgecolor=INK, linewidth=0.8))
     said = [f"pixels scatter by {percent(_core_sd(response))} (robust 1σ)"]
     error = layer(measurement, "response_uncertainty")
     if error is not None:
         said.append(f"the measurement's own error is {percent(np.nanmedian(error))} a pixel (median)")
     defects = measurement.maps.get("defects")
     if defects is not None:
+        said += [f"{plural(len(dust), 'shadow')} of dust, circled"] if len(dust) else []
         said += [f"{name}: {plural(np.count_nonzero(defects & DEFECT_FLAGS[name]), 'pixel')}" for name in ("dead", "cold")]
     return Figure(title="Response of the pixels", png=png(made), reading=sentence(*said))
+
+
+def _dust(measurement: Measurement) -> Table | None:
+    """The deepest shadows of dust, with place, width and depth."""
+    evidence = measurement.evidence
+    if not len(evidence.get("dust_depth", ())):
+        return None
+    found = list(zip(evidence["dust_xy_px"], evidence["dust_diameter_px"], evidence["dust_depth"], strict=True))
+    columns = ("Column x (px)", "Row y (px)", "Diameter (px)", "Depth (%)")
+    rows = tuple((f"{x:.0f}", f"{y:.0f}", f"{diameter:.0f}", number(100 * depth, 2))
+                 for (x, y), diameter, depth in found[:MOST_DUST])
+    more = f" The {MOST_DUST} deepest of {len(found)}." if len(found) > MOST_DUST else ""
+    return Table(title="Shadows of dust", columns=columns, rows=rows, numbers=frozenset(columns),
+                 note=f"Part of the response: divided out as long as the dust stays where it is.{more}")
 
 
 def _core_sd(values: np.ndarray) -> float:
