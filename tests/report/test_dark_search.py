@@ -11,6 +11,7 @@ from calibench.calmap.thermal import warming
 from calibench.measure import dark
 from calibench.records import Frame
 from calibench.report.draw import style
+from calibench.report.numbers import with_uncertainty
 from calibench.report.sections import dark as section
 from calibench.report.story import Story
 
@@ -38,8 +39,8 @@ def test_null_temperatures_and_telegraph_pixels_are_drawn_and_read():
         bare = section.render(dataclasses.replace(story, measurements={"dark": dataclasses.replace(measurement, evidence={})}))
     readings = {figure.title: figure.reading for figure in made.figures}
     assert "found in 99 %" in readings["Normal pixels and the threshold"]
-    energy = measurement.quantity("dark_activation_ev").value
-    assert f"Activation energy {energy:.4f}" in readings["Dark current against temperature"]
+    energy = measurement.quantity("dark_activation_ev")
+    assert f"Activation energy {with_uncertainty(energy.value, energy.uncertainty)} eV" in readings["Dark current against temperature"]
     assert "1 pixel jump" in readings["Telegraph pixels, frame by frame"]
     counts = next(table for table in made.tables if table.title.startswith("Hot pixels at each"))
     assert len(counts.rows) == 4 and {row[1] for row in counts.rows} == {"5", "20"}

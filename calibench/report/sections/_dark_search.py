@@ -42,8 +42,8 @@ def null_histogram(measurement: Measurement) -> Figure | None:
                                      "have it.")
     above = int(count[edges[:-1] >= threshold].sum())
     return Figure(title="Normal pixels and the threshold", png=png(made),
-                  reading=f"About {plural(above, 'pixel')} beyond the threshold of {number(threshold, 3)}; the normal pixels lean "
-                          f"to the right by g = {number(g, 2)} (0: Gaussian).{said}")
+                  reading=f"About {plural(above, 'pixel')} beyond the threshold of {number(threshold, 3)}; the normal pixels "
+                          f"lean to the right by g = {number(g, 2)} (0: Gaussian).{said}")
 
 
 def telegraph(measurement: Measurement) -> Figure | None:
