@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from functools import cache
 from types import ModuleType
 
 from .errors import UsageError
@@ -20,6 +21,7 @@ def names(folder: str) -> tuple[str, ...]:
     return tuple(sorted(name for name in found if not name.startswith("_") and name != "kernels"))
 
 
+@cache
 def load(folder: str, name: str) -> ModuleType:
     """The module of one choice.
 

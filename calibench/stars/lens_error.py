@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry import projection, rotation
-from ..records import Identification
+from ..records import Identification, Intrinsics
+from .per_lens import per_lens
 
 
 def systematic(found: Identification, matrix: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
@@ -27,9 +28,15 @@ def systematic(found: Identification, matrix: np.ndarray, weight: np.ndarray) ->
     by_d = by_v @ -rotation.skew(predicted)
     weighted = np.swapaxes(by_d, 1, 2) @ weight
     gain = -np.linalg.solve((weighted @ by_d).sum(0), (weighted @ by_p).sum(0))
-    w, h = lens.image_size_px
-    centre = np.array([[(w - 1) / 2, (h - 1) / 2]])
-    u, by_xy = projection.unproject_with_jacobian(lens, centre)
-    _, _, centre_by_p = projection.project_with_jacobian(lens, u)
-    moved = by_xy[0] @ -centre_by_p[0] + rotation.skew(u[0]) @ gain
+    u, centre_by_p = _centre(lens)
+    moved = centre_by_p + rotation.skew(u) @ gain
     return gain @ lens.covariance @ gain.T, float(np.sqrt(max(np.trace(moved @ lens.covariance @ moved.T), 0) / 2))
+
+
+@per_lens
+def _centre(lens: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+    """Direction (3,) of the image's centre, and how it moves with the lens's parameters (3, P)."""
+    w, h = lens.image_size_px
+    u, by_xy = projection.unproject_with_jacobian(lens, np.array([[(w - 1) / 2, (h - 1) / 2]]))
+    _, _, by_p = projection.project_with_jacobian(lens, u)
+    return u[0], -by_xy[0] @ by_p[0]

@@ -18,6 +18,7 @@ import numpy as np
 
 from .. import registry
 from ..records import DISTORTION_NAMES, Identification, Intrinsics, Observer, Spots
+from .per_lens import per_lens
 from .refine import refine
 from .sky_catalogue import SkyCatalogue
 from .verify import ACCEPT, Match, Verifier
@@ -61,9 +62,15 @@ def flipped(lens: Intrinsics) -> Intrinsics:
                    mirrored=not lens.mirrored)
 
 
+@per_lens
+def ready(lens: Intrinsics) -> tuple[KnownLens, KnownLens]:
+    """A map's lens, as it is and mirrored."""
+    return KnownLens(lens), KnownLens(flipped(lens))
+
+
 @dataclass
 class LostInSpace:
-    """An identifier with its tables for one sky; keeps the tables it has built and the lenses it has seen.
+    """An identifier with its tables for one sky; keeps the tables it has built.
 
     keep: where tables outlive the run, given by whoever may touch the disk: keep(name, Table, build) gives the table of that
     name, built anew where it is not found. Without it tables live as long as this object.
@@ -73,7 +80,6 @@ class LostInSpace:
     method: str = "pattern"
     tables: dict = field(default_factory=dict)
     keep: Callable[[str, type[NamedTuple], Callable[[], NamedTuple]], NamedTuple] | None = None
-    _lenses: dict[int, tuple[KnownLens, KnownLens]] = field(default_factory=dict)
 
     @cached_property
     def module(self) -> ModuleType:
@@ -115,18 +121,10 @@ class LostInSpace:
             self.tables[self.method, key] = self.keep(name, self.module.Table, build) if self.keep else build()
         return self.tables[self.method, key]
 
-    def _known(self, lens: Intrinsics) -> tuple[KnownLens, KnownLens]:
-        """The lens made ready, as it is and mirrored; kept for the frames that follow."""
-        kept = self._lenses.get(id(lens))
-        if kept is None or kept[0].intrinsics is not lens:
-            self._lenses.clear()
-            kept = self._lenses[id(lens)] = KnownLens(lens), KnownLens(flipped(lens))
-        return kept
-
     def _views(self, spots: Spots, size: tuple[int, int], lens: Intrinsics | None, fov_rad: float | None,
                familiar: Intrinsics | None) -> Iterator[View]:
         if lens is not None:
-            known, mirrored = self._known(lens)
+            known, mirrored = ready(lens)
             yield known.view(spots)
             yield known.view(spots, drifted=True)
             yield mirrored.view(spots, drifted=True)  # the driver, or a wrong row order, may have mirrored the frame

@@ -21,6 +21,7 @@ from .find_stars import FindState, find_stars
 from .frame_attitude import attitude_without_outliers, spot_weights
 from .lens_error import systematic
 from .lost_in_space import LostInSpace
+from .per_lens import per_lens
 from .view import horizontal_fov
 
 
@@ -139,11 +140,17 @@ def completed(solution: Solution, observer: Observer, *, calibrated: bool) -> So
     return _pointed(solution, observer)
 
 
+@per_lens
+def _centre_and_above(lens: Intrinsics) -> np.ndarray:
+    """Directions (2, 3) of the image's centre and of the pixel above it."""
+    w, h = lens.image_size_px
+    return projection.unproject(lens, np.array([[(w - 1) / 2, (h - 1) / 2], [(w - 1) / 2, (h - 1) / 2 - 1]]))
+
+
 def _pointed(solution: Solution, observer: Observer) -> Solution:
     """With the sky direction of the image's centre: aberration and refraction removed, so that it is where a catalogue says."""
     lens = solution.identification.intrinsics
-    w, h = lens.image_size_px
-    centre, above = projection.unproject(lens, np.array([[(w - 1) / 2, (h - 1) / 2], [(w - 1) / 2, (h - 1) / 2 - 1]]))
+    centre, above = _centre_and_above(lens)
     matrix = rotation.matrix_from_quaternion(solution.attitude.q_cam_icrs)
     there, up = (sphere.as_catalogued(matrix.T @ v, observer) for v in (centre, above))
     ra, dec = sphere.radec_from_unit(there)

@@ -17,6 +17,7 @@ from ..geometry import kernels, projection
 from ..geometry.projection_error import direction_covariance
 from ..records import Intrinsics, Spots
 from .kernels import TOLERANCE_SIGMA
+from .per_lens import per_lens
 
 GUESSED_RATIO_ERROR = 0.012  # an uncalibrated lens bends length ratios by this much (k1 of -0.1 over 20 degrees)
 CALIBRATED_MISFIT = 3e-4  # of an angle: focus drift that a calibrated lens is allowed
@@ -153,6 +154,7 @@ def focal_from_fov(fov_rad: float, image_size_px: tuple[int, int]) -> float:
     return image_size_px[0] / 2 / np.tan(fov_rad / 2)
 
 
+@per_lens
 def horizontal_fov(intrinsics: Intrinsics) -> float:
     """Angle, rad, between the outer edges of the first and last column at mid height, distortion included."""
     w, h = intrinsics.image_size_px
