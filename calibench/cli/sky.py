@@ -38,9 +38,10 @@ def solve(frames: Frames, map_: Map = None,
     from ..io.map_file import read_map
     from ..io.star_table import SHIPPED, load_star_table
     from ..io.station import read_station
-    from ..session.results import CSV_COLUMNS, solved_json
+    from ..session.results import CSV_COLUMNS, series_errors_json, solved_json
     from ..session.sky import Sky, solve_files
     from ..session.track import Track
+    from ..validate.series_errors import split
     settings = _settings(detector, centroid, attitude, identify, k_sigma, false_alarms)
     calmap = read_map(map_) if map_ else None
     lens_known = calmap is not None and "intrinsics" in calmap.measured
@@ -48,6 +49,7 @@ def solve(frames: Frames, map_: Map = None,
     paths = find_frames(frames)
     if lens_known and fov_deg is not None:
         say("the map's lens is used; --fov-deg is not needed and was not used")
+    solutions = []
     sky, out = Sky(method=identify, table=load_star_table(catalogue or SHIPPED),
                    station=read_station(station) if station else None), []
     with progress() as tell:
@@ -56,13 +58,18 @@ def solve(frames: Frames, map_: Map = None,
         for i, solved in enumerate(solve_files(paths, sky, calmap, fov_rad=math.radians(fov_deg) if fov_deg else None,
                                                settings=settings, named=named, solve=Track(sky).solve if track else None)):
             tell("solve", i + 1, len(paths))
+            solutions.append(solved.solution)
             out.append(solved_json(solved, calmap, (stars.hip, stars.hp_mag)))
+    errors = series_errors_json(split(solutions))
     if csv:
         write_csv(csv, out, CSV_COLUMNS)
     if json_:
-        print_json({"frames": out, "map": str(map_) if map_ else None, "identify": identify, "attitude": attitude})
+        print_json({"frames": out, "map": str(map_) if map_ else None, "identify": identify, "attitude": attitude,
+                    "errors": errors})
     else:
         _print_frames(out)
+        if errors["frames"] > 1:
+            _print_errors(errors)
     raise typer.Exit(0 if all(frame["status"] == "solved" for frame in out) else 1)
 
 
@@ -94,6 +101,13 @@ def _print_frames(frames: list[dict]) -> None:
     for frame in frames:
         for note in ([frame["reason"]] if frame["reason"] else []) + frame["warnings"]:
             say(f"{Path(frame['file']).name}: {note}")
+
+
+def _print_errors(errors: dict) -> None:
+    print(f"\nerrors of the series, 1 sigma, from {errors['stars']} stars of {errors['frames']} frames (ECSS-E-ST-60-20C)")
+    print(table(("kind", "star px", "cross \"", "roll \"", ""),
+                [(kind["name"], number(kind["star_px"], 3), number(kind["cross_arcsec"], 3), number(kind["roll_arcsec"], 3),
+                  kind["reason"] or "") for kind in errors["kinds"]]))
 
 
 def validate(frames: Frames,

@@ -10,6 +10,7 @@ import numpy as np
 from ..records import DEFECT_FLAGS, DISTORTION_NAMES, SPOT_FLAGS, CalibrationMap, Measurement, Verdict
 from ..stars.solve import Solution
 from ..validate.case import Trial
+from ..validate.series_errors import SeriesErrors
 from .sky import SolvedFrame
 
 ARCSEC = 180 * 3600 / math.pi
@@ -95,6 +96,16 @@ def pointing_json(solution: Solution) -> dict:
         "matches": len(residual), "spots": len(solution.spots), "residual_rms_px": rms_px,
         "residual_rms_arcsec": rms_px / lens.fx_px * ARCSEC if good else None,
         "false_match_probability": solution.identification.false_match_probability}
+
+
+def series_errors_json(errors: SeriesErrors) -> dict:
+    """The split of a series' errors and the map of its mean residuals."""
+    kinds = [{"name": kind.name, "star_px": kind.star_px, "reason": kind.reason or None,
+              "cross_arcsec": None if kind.cross_rad is None else kind.cross_rad * ARCSEC,
+              "roll_arcsec": None if kind.roll_rad is None else kind.roll_rad * ARCSEC} for kind in errors.kinds]
+    cells = zip(errors.map_xy_px.tolist(), errors.map_residual_px.tolist(), errors.map_stars.tolist(), strict=True)
+    return {"frames": errors.frames, "stars": errors.stars, "kinds": kinds,
+            "residual_map": [{"x_px": x, "y_px": y, "dx_px": dx, "dy_px": dy, "stars": n} for (x, y), (dx, dy), n in cells]}
 
 
 # What a series' CSV holds of each frame, in this order.
