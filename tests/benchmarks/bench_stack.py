@@ -138,8 +138,9 @@ def series(tmp_path_factory) -> Path:
 @pytest.mark.parametrize("command", ["transfer --descriptor {series}/descriptor.txt", "flat {flats}", "dark {darks}"])
 def test_memory_and_time_of_a_command(series, tmp_path, command):
     stack = sorted(series.glob("*_00*.tif")) + sorted(series.glob("*_010[01].tif"))
+    darks = sorted(series.glob("dark*.tif"))
     folders = {"flats": [(path, 0.025) for path in stack],  # one level of light and its darks
-               "darks": [(path, (0.1, 0.5, 2.0, 8.0)[i % 4]) for i, path in enumerate(sorted(series.glob("dark*.tif")))]}
+               "darks": [(path, (0.1, 0.5, 2.0, 8.0)[4 * i // len(darks)]) for i, path in enumerate(darks)]}
     for name, frames in folders.items():
         (tmp_path / name).mkdir()
         said = ["[default]\nbit_depth = 12\n"]
