@@ -92,16 +92,19 @@ def split(image: np.ndarray, temporal_variance_of_mean: float, *, filtered: bool
     row = ((h * w - w) * of_rows - h * (s2 - of_columns)) / rest
     pixel = h * w * (s2 - of_columns - of_rows) / rest
     column_error, row_error = columns * np.sqrt(2 / (w - 1)), rows * np.sqrt(2 / (h - 1))
-    pixel_error = _variance_error(image - column_means - row_means[:, None])
+    rest_image = image - column_means
+    rest_image -= row_means[:, None]
+    pixel_error = _variance_error(rest_image)
     return Parts(total=_spatial(s2, float(np.sqrt(pixel_error**2 + column_error**2 + row_error**2))),
                  row=_spatial(row, row_error), column=_spatial(column, column_error), pixel=_spatial(pixel, pixel_error))
 
 
 def _variance_error(image: np.ndarray) -> float:
     """1-sigma error of the variance over the pixels, by the fourth moment: a few hot pixels make it large."""
-    deviation = image - image.mean()
-    square = deviation * deviation
-    return float(np.std(square) / np.sqrt(image.size))
+    square = image - image.mean()
+    square *= square
+    fourth = float(np.vdot(square, square)) / image.size
+    return float(np.sqrt(max(fourth - float(square.mean()) ** 2, 0.0) / image.size))
 
 
 def _corrected(measured: float, temporal: float, pixels: int, efficiency: float = 1.0) -> Spatial:

@@ -15,7 +15,7 @@ from ...errors import BadInput
 from ...records import Frame
 from . import kernels
 
-OPEN_BYTES = 200e6  # of sum images at a time; a level that comes again after it was given up is a level of its own
+OPEN_BYTES = 60e6  # of sum images at a time; a level that comes again after it was given up is a level of its own
 SAME_LIGHT = 0.01  # frames of one exposure whose means differ by more are different levels
 SAME_LIGHT_DN = 1.0
 MARKED = 4  # every so many rows and columns tell one level of light from another

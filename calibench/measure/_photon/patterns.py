@@ -28,7 +28,7 @@ def histogram(filtered: np.ndarray, frames: int) -> tuple[np.ndarray, np.ndarray
 
     Bins are whole steps of the sum of the stack's frames, so that none is favoured: I = floor(range / 256) + 1 steps.
     """
-    steps = np.rint(filtered * frames).astype(np.int64)
+    steps = np.rint(filtered * frames).astype(np.int32)
     low, high = int(steps.min()), int(steps.max())
     width = (high - low) // BINS + 1
     counts = np.bincount(((steps - low) // width).ravel(), minlength=(high - low) // width + 1)
@@ -37,6 +37,7 @@ def histogram(filtered: np.ndarray, frames: int) -> tuple[np.ndarray, np.ndarray
 
 def accumulated(filtered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Absolute deviation (B,) from the mean in the image's unit, and the percentage (B,) of pixels that deviate by as much."""
-    deviation = np.abs(filtered - filtered.mean())
+    deviation = filtered - filtered.mean()
+    np.abs(deviation, out=deviation)
     counts, edges = np.histogram(deviation, bins=BINS)
     return edges[:-1], 100 * counts[::-1].cumsum()[::-1] / filtered.size
