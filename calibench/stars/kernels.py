@@ -13,7 +13,7 @@ from ..kernels import compiled
 HASH_PRIME = 1_000_003
 TOLERANCE_SIGMA = 4.0
 VERIFY_SPOTS = 60  # the brightest, on which a hypothesis is judged
-SUPPORT_SPOTS = 14  # the brightest, which are asked first whether they too stand on a star
+SUPPORT_SPOTS = 14  # through an unknown lens, the brightest, which are asked first whether they too stand on a star
 LEAST_SUPPORT = 2
 SUPPORT_STARS = 60  # in a field, among which they are sought
 STARS_PER_SPOT = 1.5
@@ -257,7 +257,7 @@ def judge_known(grid, field, spots, sigma, spot_rows, star_rows, tried, accept):
             away = np.sqrt(((spots[i] - middle) ** 2).sum())
             variance = sigma[i] ** 2 + turn_variance(covariance, spots[i])
             radius[i] = TOLERANCE_SIGMA * np.sqrt(variance) + field.slack * away
-            if own[i] or asked >= SUPPORT_SPOTS:
+            if own[i] or votes == LEAST_SUPPORT:  # the brightest may all be a Moon's glare: go on until some spots agree
                 continue
             asked += 1
             turned(back, spots[i], there)

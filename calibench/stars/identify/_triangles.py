@@ -21,6 +21,7 @@ from . import kernels
 # Circles in parts of the half diagonal, and the stars taken of each. The large one gives long triangles; the small one reaches
 # the corner of a frame that looks past a bright cluster.
 CIRCLES = ((1.0, 9), (0.6, 9))
+PARTS = (6, 4)  # of the image, the brightest spot of each of which is tried where the brightest of all led nowhere
 KEY_STEP = 0.05  # of the half diagonal: like cameras share one table
 CELL = 1 / 80  # of the half diagonal: some eight pixels, one or two triangles each
 ABERRATION = 1e-4  # a table is of the sky at rest; the Earth's motion changes an angle by this part of it at most
@@ -62,14 +63,26 @@ def triples(done: int, last: int) -> np.ndarray:
     return np.array([t for t in combinations(range(last), 3) if t[2] >= done], np.int64).reshape(-1, 3)
 
 
+def spread(view: View) -> np.ndarray:
+    """Rows of the brightest spot in each part of the image: a Moon's glare or a tree is in some parts only."""
+    w, h = view.intrinsics.image_size_px
+    column, row = (np.clip(view.xy_px.T / [[w], [h]], 0, 0.999) * [[PARTS[0]], [PARTS[1]]]).astype(np.int64)
+    return np.sort(np.unique(row * PARTS[0] + column, return_index=True)[1])
+
+
 def propose(view: View, sky: SkyCatalogue, table: CodeTable) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Correspondences (B, 3) spot rows, (B, 3) star rows, in batches, the brightest spots' first."""
-    done = 0
+    done, slack = 0, view.scale_slack + ABERRATION
+
+    def lookup(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        codes, tolerance, corners = kernels.triangle_questions(view.directions, view.sigma_rad, slack, groups)
+        owner, entry = table.near(codes, tolerance)
+        return corners[owner], table.rows[entry]
     for last in BATCHES if view.scale_slack <= CALIBRATED_MISFIT else WIDE_BATCHES:
         last = min(last, len(view.directions))
         if last > done:
-            codes, tolerance, corners = kernels.triangle_questions(view.directions, view.sigma_rad,
-                                                                   view.scale_slack + ABERRATION, triples(done, last))
-            owner, entry = table.near(codes, tolerance)
-            yield corners[owner], table.rows[entry]
+            yield lookup(triples(done, last))
         done = last
+    if view.scale_slack <= CALIBRATED_MISFIT and len(view.directions) > done:
+        rows = spread(view)
+        yield lookup(rows[triples(0, len(rows))])
