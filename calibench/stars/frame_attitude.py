@@ -3,8 +3,9 @@
 1. Directions of the matched spots through the lens, weights from their covariance.
 2. The named method's rotation R; residuals in pixels.
 3. While one star misses by more than OUTLIER_SIGMA of its own and the frame's errors, the worst is left out and 2 repeated.
-4. Covariance by linear propagation through the method as it weighs the stars (a_i), with u_i = R r_i and spot covariance S_i
-   in the tangent plane:   F d = sum a_i u_i x e_i,   F = sum a_i (I - u_i u_i'),
+4. Covariance, random part, by linear propagation through the method as it weighs the stars (a_i), with u_i = R r_i and spot
+   covariance S_i in the tangent plane:
+                           F d = sum a_i u_i x e_i,   F = sum a_i (I - u_i u_i'),
                            P = F^-1 (sum a_i^2 [u_i]x S_i [u_i]x') F^-1.
    It is honest for any weights, the best ones or not. Where the smallest chi^2 that any rotation could reach says that the
    stars miss by more than their errors (beyond SURPRISE sigma of chance), P is scaled by chi^2 over the degrees of freedom.
@@ -72,7 +73,7 @@ def find_attitude(found: Identification, method: str, *, calibrated: bool) -> At
     sigma2 = np.trace(by_xy @ np.linalg.inv(weight) @ np.swapaxes(by_xy, 1, 2), axis1=1, axis2=2) / 2
     matrix = module.attitude(v, stars, 1 / sigma2)
     u = stars @ matrix.T
-    xy, by_v, _ = projection.project_with_jacobian(lens, u)
+    xy, by_v, by_p = projection.project_with_jacobian(lens, u)
     residual = found.xy_px - xy
     cross = rotation.skew(u)
     covariance_px2 = found.covariance_px2 if calibrated else np.linalg.inv(weight)
@@ -80,7 +81,10 @@ def find_attitude(found: Identification, method: str, *, calibrated: bool) -> At
     turned = a * (cross @ by_xy)
     gain = np.linalg.inv(np.einsum("m,mij->ij", a[:, 0, 0], np.eye(3) - u[:, :, None] * u[:, None, :]))
     covariance = gain @ np.einsum("mij,mjk,mlk->il", turned, covariance_px2, turned) @ gain
-    chi2, freedom = _smallest_chi2(residual, by_v @ -cross, np.linalg.inv(covariance_px2)), max(2 * len(residual) - 3, 1)
+    # What the lens's own covariance lets expect is no surprise: it is told apart, as the systematic part.
+    by_lens = by_p @ lens.covariance @ np.swapaxes(by_p, 1, 2) if calibrated and np.isfinite(lens.covariance).all() else 0.0
+    weight = np.linalg.inv(covariance_px2 + by_lens)
+    chi2, freedom = _smallest_chi2(residual, by_v @ -cross, weight), max(2 * len(residual) - 3, 1)
     scale = chi2 / freedom if chi2 > freedom + SURPRISE * np.sqrt(2 * freedom) else 1.0
     return Attitude(status="solved", method=method, q_cam_icrs=rotation.quaternion_from_matrix(matrix),
                     covariance_rad2=covariance * scale, residual_px=residual)
