@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import j1
+from scipy.special import j0, j1
 
 from ..records import PsfMap
 from ..spots import hermite
@@ -114,11 +114,16 @@ def magnitude_term_px(psf: PsfMap, radius_px: int) -> float:
 
 
 def strehl(psf: PsfMap, lambda_n_px: float) -> float:
-    """Peak of the recorded light at the field's middle over that of a circular pupil's diffraction through the same pixel."""
+    """Peak of the recorded light at the field's middle over that of a circular pupil's diffraction through the same pixel.
+
+    Both are shares of the light within the map's window: what lies beyond it looks like background.
+    """
     centre = (np.array(psf.image_size_px) - 1) / 2
     fine = np.arange(-FINE, FINE + 1) / FINE
     nodes, weights = np.polynomial.legendre.leggauss(16)
     x, y = np.meshgrid(nodes / 2, nodes / 2)
     v = np.maximum(np.pi * np.hypot(x, y) / lambda_n_px, 1e-9)
     ideal = np.pi / (4 * lambda_n_px**2) * (2 * j1(v) / v) ** 2
-    return float(light(psf, centre, fine, fine).max() / (ideal * np.outer(weights, weights) / 4).sum())
+    rim = np.pi * (psf.hermite.radius_px if psf.hermite is not None else np.inf) / lambda_n_px
+    within = 1 - j0(rim) ** 2 - j1(rim) ** 2 if np.isfinite(rim) else 1.0
+    return float(light(psf, centre, fine, fine).max() * within / (ideal * np.outer(weights, weights) / 4).sum())

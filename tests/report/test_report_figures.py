@@ -11,6 +11,7 @@ from calibench.geometry import projection, rotation
 from calibench.records import Intrinsics, PsfMap
 from calibench.report.draw import grid_px, middle, sensor_sheet
 from calibench.report.sections import _lens, psf
+from calibench.spots.psf import light
 
 LENS = Intrinsics(model="brown4", fx_px=900.0, fy_px=905.0, cx_px=320.0, cy_px=235.0, image_size_px=(640, 480),
                   distortion=np.array([-0.2, 0.05, 1e-3, -8e-4]),
@@ -93,11 +94,13 @@ def test_shape_of_a_turned_ellipse():
     assert found == pytest.approx([major, minor, angle])
 
 
-def test_stamp_holds_the_light_and_its_moments():
-    image = psf.stamp(np.array([1.2, 0.7, 0.3]))
-    y, x = np.mgrid[: psf.STAMP_PX, : psf.STAMP_PX] - psf.STAMP_PX // 2
+def test_the_image_of_a_gaussian_map_holds_the_light_and_its_moments():
+    flat = PsfMap(model="gaussian", degree=0, coefficients=np.array([[1.2], [0.7], [0.3]]), image_size_px=(50, 40), centre="c",
+                  measured_xy_px=np.zeros((0, 2)), residual_rms_px2=0.0)
+    along = np.arange(-8.0, 9.0)
+    image = light(flat, np.array([10.0, 10.0]), along, along)
     assert image.sum() == pytest.approx(1, abs=1e-4)
-    moments = [(image * a).sum() for a in (x * x, y * y, x * y)]
+    moments = [(image * a).sum() for a in (along**2, along[:, None] ** 2, along * along[:, None])]
     assert moments == pytest.approx([1.2 + 1 / 12, 0.7 + 1 / 12, 0.3], abs=5e-3)  # a pixel adds 1/12 px^2
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.patches import Ellipse
 
 from ...records import Measurement, PsfMap
-from ...spots.psf import FWHM_PER_SIGMA, moments_at
+from ...spots.psf import FWHM_PER_SIGMA, light, moments_at
 from ..draw import BLUE, FAINT, HALF, ORANGE, SEQUENTIAL, WIDE, grid_px, png, sensor_axes, sensor_field, sensor_sheet, sheet
 from ..numbers import number, percent, plural
 from ..section import Figure, Section
@@ -26,7 +26,8 @@ def render(story: Story) -> Section | None:
     if measurement is None or measurement.psf is None:
         return None
     psf = measurement.psf
-    figures = (_ellipses(psf), _width(psf), _ellipticity(psf), _stamps(psf), _encircled(measurement))
+    figures = (_ellipses(psf), _width(psf), _ellipticity(psf), _stamps(psf), _encircled(measurement),
+               _residuals(measurement))
     spots = plural(len(psf.measured_xy_px), "spot")
     summary = (f"Moments as a polynomial of degree {psf.degree} over the field, from {spots}; "
                f"they scatter about it by {number(psf.residual_rms_px2, 2)} px² (rms). A centroid through this map means: "
@@ -93,32 +94,48 @@ def _ellipticity(psf: PsfMap) -> Figure:
                           f"({x:.0f}, {y:.0f}); {percent((flattening < ROUND).mean())} of the field is rounder than {ROUND:g}.")
 
 
-def stamp(moments: np.ndarray) -> np.ndarray:
-    """(STAMP_PX, STAMP_PX) share of the light in each pixel of a Gaussian with moments (3,) on the middle pixel's centre."""
-    s_xx, s_yy, s_xy = moments
-    fine = (np.arange(STAMP_PX * OVERSAMPLING) + 0.5) / OVERSAMPLING - STAMP_PX / 2
-    x, y = np.meshgrid(fine, fine)
-    determinant = s_xx * s_yy - s_xy**2
-    light = np.exp(-0.5 * (s_yy * x * x - 2 * s_xy * x * y + s_xx * y * y) / determinant) / (2 * np.pi * np.sqrt(determinant))
-    return light.reshape(STAMP_PX, OVERSAMPLING, STAMP_PX, OVERSAMPLING).mean((1, 3))
-
-
 def _stamps(psf: PsfMap) -> Figure:
-    """Rendered images from the centre to the lower right corner, all on one scale."""
+    """A point's image from the centre to the lower right corner: from the side (cut along the row), and from the top."""
     w, h = psf.image_size_px
     xy = np.array([[(w - 1) / 2 * (1 + share), (h - 1) / 2 * (1 + share)] for share, _ in PLACES])
-    images = [stamp(moments) for moments in moments_at(psf, xy)]
+    pixels, fine = (np.arange(n * STAMP_PX) / n - (STAMP_PX - 1 / n) / 2 for n in (1, OVERSAMPLING))
+    images = [light(psf, at, pixels, pixels) for at in xy]
+    cuts = [light(psf, at, fine, np.zeros(1))[0] for at in xy]
     peaks = [image.max() for image in images]
-    made, row = sheet((WIDE[0], 2.65), len(PLACES))
+    made, grid = sheet((WIDE[0], 4.4), len(PLACES), 2)
     half = STAMP_PX / 2
-    for axes, (_, name), (x, y), image in zip(row, PLACES, xy, images, strict=True):
-        drawn = axes.imshow(100 * image, extent=(-half, half, half, -half), cmap=SEQUENTIAL, vmin=0, vmax=100 * max(peaks))
-        axes.set_title(f"{name}, ({x:.0f}, {y:.0f})")
-        axes.set(xlabel="x (px)", ylabel="y (px)" if axes is row[0] else "")
-    made.colorbar(drawn, ax=list(row), pad=0.01, aspect=24).set_label("light a pixel (%)")
-    return Figure(title="A point's image from the centre to a corner, as the map has it", png=png(made), wide=True,
+    for i, ((_, name), (x, y), image, cut) in enumerate(zip(PLACES, xy, images, cuts, strict=True)):
+        side, top = grid[i], grid[len(PLACES) + i]
+        side.bar(pixels, 100 * image[STAMP_PX // 2], width=0.9, color=FAINT)
+        side.plot(fine, 100 * cut, color=BLUE)
+        side.set(title=f"{name}, ({x:.0f}, {y:.0f})", xlim=(-half, half), ylim=(0, 105 * max(peaks)))
+        drawn = top.imshow(100 * image, extent=(-half, half, half, -half), cmap=SEQUENTIAL, vmin=0, vmax=100 * max(peaks))
+        top.set(xlabel="x (px)", ylabel="y (px)" if i == 0 else "")
+    grid[0].set_ylabel("light a pixel (%)")
+    made.colorbar(drawn, ax=list(grid[len(PLACES):]), pad=0.01, aspect=24).set_label("light a pixel (%)")
+    return Figure(title="A point's image from the centre to a corner, from the side and from the top, as the map has it",
+                  png=png(made), wide=True,
                   reading=f"A star centred on a pixel puts {percent(peaks[0])} of its light into it at the centre of the image "
-                          f"and {percent(peaks[-1])} at the corner.")
+                          f"and {percent(peaks[-1])} at the corner. Line: share of a pixel at any place.")
+
+
+def _residuals(measurement: Measurement) -> Figure | None:
+    """Held-out error by order and degree: what the choice of the shape rests on."""
+    tried, chi2 = (measurement.evidence.get(name) for name in ("held_out_order_degree", "held_out_chi2"))
+    if tried is None or chi2 is None:
+        return None
+    made, (axes,) = sheet(HALF)
+    for order, colour in zip(np.unique(tried[:, 0]), (ORANGE, BLUE, "black"), strict=False):
+        rows = tried[:, 0] == order
+        axes.plot(tried[rows, 1], chi2[rows], "o-", color=colour, label=f"order {order}")
+    axes.set(xlabel="degree over the field", ylabel="chi² per pixel of left-out spots", xticks=np.unique(tried[:, 1]),
+             yscale="log")
+    axes.grid(color=FAINT)
+    axes.legend()
+    best = np.argmin(chi2)
+    return Figure(title="Choice of the shape: error of spots that were left out", png=png(made),
+                  reading=f"Least with order {tried[best, 0]} and degree {tried[best, 1]}: {number(chi2[best], 4)} per pixel "
+                          "(1 is noise alone).")
 
 
 def _encircled(measurement: Measurement) -> Figure | None:
