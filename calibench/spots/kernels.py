@@ -47,6 +47,24 @@ def crowded(xy, apart):
 
 
 @compiled
+def nearer_to_another(xy, corner_xy, side):
+    """Pixels of the windows (N, side, side) at corner_xy (N, 2) that lie nearer to another of the spots, xy (N, 2)."""
+    out = np.zeros((len(xy), side, side), np.bool_)
+    for n in range(len(xy)):
+        for m in range(len(xy)):
+            dx, dy = xy[m, 0] - xy[n, 0], xy[m, 1] - xy[n, 1]
+            if m == n or max(abs(dx), abs(dy)) > 2 * side:
+                continue
+            for j in range(side):
+                for i in range(side):
+                    # beyond the line half way between the two
+                    x, y = corner_xy[n, 0] + i - xy[n, 0] - dx / 2, corner_xy[n, 1] + j - xy[n, 1] - dy / 2
+                    if x * dx + y * dy > 0:
+                        out[n, j, i] = True
+    return out
+
+
+@compiled
 def cell_statistics(image, cell, floor):
     """Level and 1-sigma noise of the cells of an image (H, W) float32, NaN where a pixel does not count.
 

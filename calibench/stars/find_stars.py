@@ -28,7 +28,7 @@ from ..spots.find import FALSE_ALARMS, MOST_SPOTS, ROUGH_SD_PX
 from ..spots.fit.known_shape import LOST_CORE_ERROR, fit_windows, window_radius
 from ..spots.flags import flag
 from ..spots.frame_shape import GUESSED_SHAPE_ERROR, shape_from_frame
-from ..spots.kernels import drift
+from ..spots.kernels import drift, nearer_to_another
 from ..spots.psf import moments_at
 from ..spots.scene import Scene
 from ..spots.threshold_map import ThresholdMap, threshold_map
@@ -60,16 +60,14 @@ class FindState:
 
 @dataclass(frozen=True, kw_only=True)
 class _Sky:
-    """A threshold map, what it was made for (`key`), and how the frame it was made of lies about it (level, mean square).
-    moments_px2 (3,): the frame's own PSF, None where the map has one."""
+    """A threshold map and what it was made for (`key`). radius: of the windows. moments_px2 (3,): the
+    frame's own PSF, None where the map has one."""
 
     key: tuple
     calmap: CalibrationMap
     layers: WindowLayers
     thresholds: ThresholdMap
     k_sigma: float
-    level: np.ndarray
-    square: float
     radius: int
     moments_px2: np.ndarray | None
 
@@ -107,6 +105,7 @@ def find_stars(frame: Frame, calmap: CalibrationMap, state: FindState) -> Spots:
     floor = np.broadcast_to((noise**2)[:, None, None], signal.shape)
     core_lost = lost[:, radius - 1:radius + 2, radius - 1:radius + 2].any((1, 2))
     error = np.maximum(core_lost * LOST_CORE_ERROR, 0.0 if known else GUESSED_SHAPE_ERROR)
+    signal[nearer_to_another(candidates.xy_px, windows.corner_xy, signal.shape[1])] = np.nan
     found = fit_windows(signal, floor, windows.corner_xy, candidates.xy_px, moments, gain_dn_per_e=gain, model_error=error)
     return _spots(candidates, found, windows, noise, data.shape, calmap, known)
 
@@ -140,9 +139,9 @@ def _key(frame: Frame, data: np.ndarray) -> tuple:
 
 
 def _sampled(data: np.ndarray, thresholds: ThresholdMap) -> tuple[np.ndarray, float]:
-    """How far the frame lies above the threshold map's expectation: (level in sigma of each cell, mean square)."""
+    """How the frame lies about the threshold map: (its level above it in each cell, sigma; its noise over the map's)."""
     level, square = drift(data, thresholds.expected_dn, thresholds.noise_dn, CELL_PX, DRIFT_ROWS)
-    return level, float(square)
+    return level, float(np.sqrt(square))
 
 
 def _still_valid(frame: Frame, data: np.ndarray, calmap: CalibrationMap,
@@ -150,9 +149,7 @@ def _still_valid(frame: Frame, data: np.ndarray, calmap: CalibrationMap,
     """The carried threshold map with drift and change of noise, or None where the frame asks for a new one."""
     if sky is None or sky.calmap is not calmap or sky.key != _key(frame, data):
         return None, None, 1.0
-    level, square = _sampled(data, sky.thresholds)
-    moved = level - sky.level
-    louder = float(np.sqrt(square / sky.square))
+    moved, louder = _sampled(data, sky.thresholds)
     if np.abs(moved).max() > MOST_DRIFT_SIGMA or abs(louder - 1) > MOST_NOISE_CHANGE:
         return None, None, 1.0
     return sky, moved, louder
@@ -182,7 +179,6 @@ def _look(frame: Frame, data: np.ndarray, calmap: CalibrationMap, false_alarms: 
         noise_raw = noise * response
     thresholds = threshold_map(expected, noise_raw, data.dtype)
     k_sigma = k_for_false_alarms(thresholds, false_alarms, law)
-    level, square = _sampled(data, thresholds)
     if "psf" in calmap.measured:
         w, h = frame.image_size_px
         places = np.array([[x, y] for x in (0, w / 2, w - 1) for y in (0, h / 2, h - 1)])
@@ -193,5 +189,5 @@ def _look(frame: Frame, data: np.ndarray, calmap: CalibrationMap, false_alarms: 
                       gain_dn_per_e=calmap.gain_dn_per_e, psf=calmap.psf, psf_known=False)
         shape = shape_from_frame(scene, candidates)
         radius = window_radius(shape[None])
-    return _Sky(key=_key(frame, data), calmap=calmap, layers=layers, thresholds=thresholds, k_sigma=k_sigma, level=level,
-                square=square, radius=radius, moments_px2=shape)
+    return _Sky(key=_key(frame, data), calmap=calmap, layers=layers, thresholds=thresholds, k_sigma=k_sigma,
+                radius=radius, moments_px2=shape)

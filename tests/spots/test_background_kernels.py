@@ -65,6 +65,18 @@ def test_crowded_points():
     np.testing.assert_array_equal(kernels.crowded(xy, 4.0), apart.min(1) < 4.0)
 
 
+def test_pixels_nearer_to_another_spot():
+    rng = np.random.default_rng(5)
+    xy = rng.uniform(10, 30, (12, 2))
+    corner = np.rint(xy).astype(int) - 3
+    found = kernels.nearer_to_another(xy, corner, 7)
+    for n in range(12):
+        for j in range(7):
+            for i in range(7):
+                distance = np.linalg.norm(xy - corner[n] - (i, j), axis=1)
+                assert found[n, j, i] == (distance.argmin() != n)
+
+
 def test_a_vignetted_corner_keeps_its_level():
     rng = np.random.default_rng(4)
     y, x = np.mgrid[:480, :640]

@@ -11,7 +11,7 @@ import numpy as np
 from ..candidates import Candidates
 from ..fit.known_shape import LOST_CORE_ERROR, fit_windows, window_radius
 from ..frame_shape import GUESSED_SHAPE_ERROR, shape_from_frame
-from ..kernels import cut
+from ..kernels import cut, nearer_to_another
 from ..psf import moments_at
 from ..scene import Centroids, Scene
 
@@ -27,5 +27,6 @@ def centroid(scene: Scene, candidates: Candidates) -> Centroids:
     lost = cut(scene.unusable, centre, radius, True)
     core_lost = lost[:, radius - 1:radius + 2, radius - 1:radius + 2].any((1, 2))
     error = np.maximum(core_lost * LOST_CORE_ERROR, 0.0 if scene.psf_known else GUESSED_SHAPE_ERROR)
+    lost |= nearer_to_another(np.ascontiguousarray(candidates.xy_px, float), centre - radius, signal.shape[1])
     return fit_windows(np.where(lost, np.float32(np.nan), signal), floor, centre - radius, candidates.xy_px, moments,
                        gain_dn_per_e=scene.gain_dn_per_e, model_error=error)

@@ -146,6 +146,19 @@ def _flood(data, expected, noise, level, labels, lowest, owner, label, y, x, sta
 
 
 @compiled
+def _near(labels, y, x, stack):
+    """Puts the pixels of 3x3 about (x, y) that belong to its light on the stack; their number."""
+    h, w = labels.shape
+    count = 0
+    for j in range(max(y - 1, 0), min(y + 2, h)):
+        for i in range(max(x - 1, 0), min(x + 2, w)):
+            if labels[j, i] == labels[y, x]:
+                stack[count] = j * w + i
+                count += 1
+    return count
+
+
+@compiled
 def _shape(data, expected, noise, level, stack, count, y, x, row):
     """Fills x, y, peak, flux, pixels, elongation of one spot from its pixels; the place is the mass of its brighter half."""
     w = data.shape[1]
@@ -209,13 +222,12 @@ def grow(data, expected, noise, level, rows, columns, scores, gain, largest, lab
                 alone = _stands_out(data, expected, noise, level, y, x, scores[n], int(out[k, 7]), int(out[k, 6]), gain,
                                      contrast)
         if alone:
-            stack[0], near = y * w + x, 1
-            for j in range(max(y - 1, 0), min(y + 2, h)):
-                for i in range(max(x - 1, 0), min(x + 2, w)):
-                    if (j != y or i != x) and labels[j, i] == labels[y, x]:
-                        stack[near] = j * w + i
-                        near += 1
+            near = _near(labels, y, x, stack)
             _shape(data, expected, noise, level, stack, near, y, x, out[count])
+            if out[first, 9] == 0:  # its place was that of all the light
+                j, i = int(out[first, 7]), int(out[first, 6])
+                near = _near(labels, j, i, stack)
+                _shape(data, expected, noise, level, stack, near, j, i, out[first])
             out[count, 6], out[count, 7], out[count, 8], out[count, 10] = x, y, scores[n], first
             out[count, 5] = out[first, 5] = 1.0
             out[count, 9] = out[first, 9] = 1.0
