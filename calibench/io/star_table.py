@@ -31,6 +31,8 @@ def load_star_table(path: Path = SHIPPED) -> StarTable:
     try:
         if Path(path).stat().st_size > LARGEST_BYTES:
             raise ValueError("too large for a star table")
+        if not zipfile.is_zipfile(path):
+            raise ValueError("no npz file")
         with np.load(path, allow_pickle=False) as file:
             columns = {name: file[name] for name in COLUMNS}
             table = StarTable(epoch_jyear=float(file["epoch_jyear"]), source=str(file["source"]), **columns)
