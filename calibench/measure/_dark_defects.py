@@ -214,14 +214,16 @@ def _lines(masks: dict[str, np.ndarray], ladder: Ladder, rules: Rules) -> tuple[
 
 
 def hot_by_level(ladder: Ladder, rules: Rules) -> np.ndarray:
-    """Hot pixels that each exposure alone would show: above the limit and above its own noise threshold, by a Gaussian tail."""
-    if ladder.rate_dn_per_s is None:
-        return np.zeros(len(ladder.levels), int)
-    excess = ladder.rate_dn_per_s - defect.typical(ladder.rate_dn_per_s)
-    k = norm.isf(min(rules.false_alarms / excess.size, 0.5))
-    levels = zip(ladder.exposure_s, ladder.variance_dn2, ladder.levels, strict=True)
-    return np.array([np.count_nonzero(excess > max(rules.limit, k * np.sqrt(defect.typical(v) / level.count) / max(t, 1e-9)))
-                     for t, v, level in levels])
+    """Pixels that the averaged frame of each exposure alone shows: above its median by the limit's charge, and by the Gaussian
+    tail of its robust scatter (noise and fixed pattern) that `false_alarms` pixels pass."""
+    found = []
+    for t, level in zip(ladder.exposure_s or (0.0,), ladder.levels, strict=True):
+        k = norm.isf(min(rules.false_alarms / level.mean_dn.size, 0.5))
+        middle = defect.typical(level.mean_dn)
+        scatter = 1.4826 * defect.typical(np.abs(_sample(level.mean_dn) - middle))
+        limit = rules.limit * (t if ladder.rate_dn_per_s is not None else 1.0)
+        found.append(int(np.count_nonzero(level.mean_dn > middle + max(limit, k * scatter))))
+    return np.array(found)
 
 
 def _histogram(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -51,18 +51,20 @@ class DarkLevels:
         self._open: dict[tuple, Accumulator] = {}  # the last used is last
         self._closed: dict[tuple, DarkLevel] = {}
         self._celsius: dict[tuple, list[float]] = {}
-        self._last_c: list[float] = []  # of each temperature group
+        self._spans_c: list[tuple[float, float]] = []  # lowest and highest of each temperature group
         self._group = 0
 
     def key(self, frame: Frame) -> tuple[float | None, int]:
         """Where a frame belongs. A frame without a temperature is taken to be as warm as the one before it."""
         if frame.temperature_c is not None:
-            apart = [abs(c - frame.temperature_c) for c in self._last_c]
+            c = frame.temperature_c
+            apart = [max(low - c, c - high, 0.0) for low, high in self._spans_c]
             if not apart or min(apart) > GROUP_C:
-                self._last_c.append(frame.temperature_c)
+                self._spans_c.append((c, c))
                 apart.append(0.0)
             self._group = int(np.argmin(apart))
-            self._last_c[self._group] = frame.temperature_c
+            low, high = self._spans_c[self._group]
+            self._spans_c[self._group] = min(low, c), max(high, c)
         return frame.exposure_s, self._group
 
     def add(self, frame: Frame) -> tuple[float | None, int]:

@@ -1,7 +1,8 @@
 """Dark frames over a ladder of exposures: offset, dark rate, read noise, nonuniformity, and the pixels that stand out.
 
 1. Each frame is checked for being dark, then added to the stack of its exposure and temperature (one pass, exact sums).
-2. Per pixel, at the temperature with most exposures: offset and rate by least squares, with errors from the temporal variance.
+2. Per pixel, at the temperature with most exposures (the warmest of equals): offset and rate by least squares, with errors
+   from the temporal variance.
 3. Dark current against temperature, where the frames have several.
 4. Defects: `_dark_defects`; a second pass over the frames looks at the unsteady pixels frame by frame.
 Without exposure times, offset and defects are made all the same, by level, and said to be 'exposure unknown'.
@@ -60,7 +61,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     first = ledger.first
     gain = known_gain(calmap, first)
     ladders = [fit(levels, first.white_level_dn, gain.dn_per_e) for levels in groups]
-    ladder = max(ladders, key=lambda one: (len(one.levels), sum(level.count for level in one.levels)))
+    ladder = max(ladders, key=lambda one: (len(one.levels), sum(level.count for level in one.levels), one.temperature_c or 0.0))
     quiet = next((level for level in ladder.levels if level.freedom), None)
     unit = gain.dn_per_e if np.isfinite(gain.dn_per_e) else 1.0
     rules = _rules(ladder, first, gain, settings, unit)
@@ -150,10 +151,14 @@ def _provenance(ledger: Ledger, ladder: Ladder, warm: Temperatures) -> Provenanc
 def _blind(found: Found, ladder: Ladder, unit: float, settings: Settings, in_electrons: bool) -> tuple[str, ...]:
     """Where the search cannot see what it is asked for, this is said: a low count would look like a good sensor."""
     limit = found.detection_limit[0] / unit
-    if ladder.rate_dn_per_s is None or limit <= settings.hot_rate_per_s:
+    if ladder.rate_dn_per_s is None:
         return ()
     e = "e-/s" if in_electrons else "DN/s"
-    return (f"hot pixels are found reliably (99 %) only from {limit:.3g} {e} above their neighbours on, the limit is "
+    classed = () if in_electrons else (f"gain unknown: a pixel is hot from {settings.hot_rate_per_s:g} DN/s above its "
+                                       "neighbours on; with a map that holds the gain (--map) the limit is in e-/s",)
+    if limit <= settings.hot_rate_per_s:
+        return classed
+    return (*classed, f"hot pixels are found reliably (99 %) only from {limit:.3g} {e} above their neighbours on, the limit is "
             f"{settings.hot_rate_per_s:g} {e}: weaker ones may be missing; take longer darks or more of them",)
 
 

@@ -164,6 +164,14 @@ def test_without_a_law_the_map_holds_at_its_own_temperature():
     assert any("without a law" in w for w in result.warnings)
 
 
+def test_a_drift_that_returns_is_no_second_temperature():
+    frames = [f for i in range(4) for f in darks(normal_rate(), count=1, seed=i, celsius=20 + 0.6 * i)]
+    frames.sort(key=lambda f: f.exposure_s)
+    result = dark.measure(frames)
+    assert result.frames_used == 12 and list(result.evidence["frame_count"]) == [4, 4, 4]
+    assert any("temperature drifted from 20.0 to 21.8 C" in w for w in result.warnings)
+
+
 def test_levels_that_are_closed_and_opened_again_are_merged_exactly(monkeypatch):
     frames = [f for pair in zip(*(darks(normal_rate(), exposures=(t,), count=6) for t in (0.1, 0.5, 1.0)), strict=True)
               for f in pair]

@@ -23,7 +23,7 @@ def null_histogram(measurement: Measurement) -> Figure | None:
     count, edges = evidence["z_histogram_count"], evidence["z_histogram_edge"]
     centre, scale, g, h, threshold = evidence["z_null"]
     made, (axes,) = sheet(HALF)
-    shown = edges[:-1] < BROKEN_AXIS_Z
+    shown, largest = edges[:-1] < BROKEN_AXIS_Z, edges[np.flatnonzero(count)[-1] + 1]
     axes.stairs(count[shown] / np.diff(edges)[shown], edges[: shown.sum() + 1], fill=True, color=BLUE, alpha=0.85)
     u = np.linspace(-5, 5.5, 400)
     z = centre + scale * (np.expm1(g * u) / g if g > 1e-6 else u) * np.exp(h * u**2 / 2)
@@ -32,7 +32,7 @@ def null_histogram(measurement: Measurement) -> Figure | None:
     axes.axvline(threshold, color=RED, linewidth=1, label=f"threshold {number(threshold, 3)}")
     axes.set_yscale("log")
     axes.set(xlabel="z: deviation from the local dark level over its scale", ylabel="pixels for a step of 1 (logarithmic)",
-             ylim=(0.5, None), xlim=(max(edges[0], -8), BROKEN_AXIS_Z))
+             ylim=(0.5, None), xlim=(max(edges[0], -8), min(BROKEN_AXIS_Z, max(2 * threshold, largest))))
     axes.grid(axis="y", color=FAINT)
     axes.legend(loc="upper right")
     values = {q.name: q for q in measurement.quantities}
@@ -105,5 +105,5 @@ def counts(measurement: Measurement) -> Table | None:
                  for t, celsius, hot, thesis in zip(*(evidence[name] for name in names), strict=True))
     columns = ("Exposure (s)", "Temperature (°C)", "Above the limit", "Above mean + 5σ")
     return Table(title="Hot pixels at each exposure and temperature", columns=columns, rows=rows, numbers=frozenset(columns),
-                 note="Above the limit of the class `hot` and above the noise that the averaged frame of this exposure leaves; "
-                      "mean + 5 standard deviations is the thesis rule, with all pixels counted in.")
+                 note="Above the limit: by the averaged frame of this exposure alone, above its median by the charge of the "
+                      "limit of `hot` and beyond its robust scatter; mean + 5σ is the thesis rule, all pixels counted in.")
