@@ -40,7 +40,8 @@ def test_null_temperatures_and_telegraph_pixels_are_drawn_and_read():
     readings = {figure.title: figure.reading for figure in made.figures}
     assert "found in 99 %" in readings["Normal pixels and the threshold"]
     energy = measurement.quantity("dark_activation_ev")
-    assert f"Activation energy {with_uncertainty(energy.value, energy.uncertainty)} eV" in readings["Dark current against temperature"]
+    said = f"Activation energy {with_uncertainty(energy.value, energy.uncertainty)} eV"
+    assert said in readings["Dark current against temperature"]
     assert "1 pixel jump" in readings["Telegraph pixels, frame by frame"]
     counts = next(table for table in made.tables if table.title.startswith("Hot pixels at each"))
     assert len(counts.rows) == 4 and {row[1] for row in counts.rows} == {"5", "20"}
