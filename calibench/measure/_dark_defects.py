@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from . import _defects as defect
 from . import _telegraph as telegraph
@@ -111,7 +111,7 @@ def _detection_limit(scale: np.ndarray, null: Null, threshold: float, ladder: La
     """Smallest excess found with FOUND_SHARE: it has to lift even a pixel at the null's low end over the threshold. Its own
     shot noise lowers its significance (left out where the gain is unknown). With its 1-sigma spread over the image."""
     low, typical, high = np.percentile(scale.reshape(-1)[:: max(1, scale.size // NULL_SAMPLE)], (15.87, 50, 84.13))
-    margin = float(threshold - null.quantile(norm.isf(FOUND_SHARE)))
+    margin = float(threshold - null.quantile(-ndtri(FOUND_SHARE)))
     shot = 0.0
     if np.isfinite(rules.dn_per_e) and ladder.to_rate is not None:
         per_frame = np.array(ladder.exposure_s) / [level.count for level in ladder.levels]
@@ -218,7 +218,7 @@ def hot_by_level(ladder: Ladder, rules: Rules) -> np.ndarray:
     tail of its robust scatter (noise and fixed pattern) that `false_alarms` pixels pass."""
     found = []
     for t, level in zip(ladder.exposure_s or (0.0,), ladder.levels, strict=True):
-        k = norm.isf(min(rules.false_alarms / level.mean_dn.size, 0.5))
+        k = -ndtri(min(rules.false_alarms / level.mean_dn.size, 0.5))
         middle = defect.typical(level.mean_dn)
         scatter = 1.4826 * defect.typical(np.abs(_sample(level.mean_dn) - middle))
         limit = rules.limit * (t if ladder.rate_dn_per_s is not None else 1.0)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtr
 
 from ..records import DEFECT_FLAGS
 
@@ -106,18 +106,18 @@ def scale(deviation: np.ndarray, variance: np.ndarray, bayer_pattern: str | None
 
 def noisy(variance: np.ndarray, freedom: int, expected: float, factor: float) -> np.ndarray:
     """(H, W) bool: temporal variance above factor^2 the median, and beyond the chi-squared tail that `expected` pixels pass."""
-    limit = max(chi2.isf(expected / variance.size, freedom) / freedom, factor**2)
+    limit = max(chdtri(freedom, expected / variance.size) / freedom, factor**2)
     return variance > limit * typical_noise(variance, freedom)
 
 
 def typical_noise(variance: np.ndarray, freedom: int) -> float:
     """Temporal variance of a typical pixel, at least what quantisation makes (1/12 DN^2); the median of chi-squared undone."""
-    return max(typical(variance) / (chi2.median(freedom) / freedom), 1 / 12)
+    return max(typical(variance) / (chdtri(freedom, 0.5) / freedom), 1 / 12)
 
 
 def never_changing(constant: np.ndarray, variance_dn2: float, frames: int) -> np.ndarray:
     """(H, W) bool: the same value in all frames, where by chance less than 0.1 pixels of typical noise would show that."""
-    same = 2 * norm.cdf(0.5 / np.sqrt(max(variance_dn2, 1e-12))) - 1  # share of frames in the fullest DN step
+    same = 2 * ndtr(0.5 / np.sqrt(max(variance_dn2, 1e-12))) - 1  # share of frames in the fullest DN step
     return constant if same ** (frames - 1) * constant.size <= 0.1 else np.zeros_like(constant)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 LOWEST_U, HIGHEST_U, NODES = -4.3, 1.5, 30  # the quantiles used, in standard deviations
 FEWEST_BELOW = 10  # pixels below a quantile that is used
@@ -38,7 +38,7 @@ class Null:
 
     def threshold(self, pixels: int, expected: float) -> float:
         """z that `expected` of `pixels` normal pixels exceed."""
-        return float(self.quantile(norm.isf(min(expected / pixels, 0.5))))
+        return float(self.quantile(-ndtri(min(expected / pixels, 0.5))))
 
 
 def fit_null(z: np.ndarray) -> Null:
@@ -47,12 +47,12 @@ def fit_null(z: np.ndarray) -> Null:
     nodes = np.linspace(LOWEST_U, HIGHEST_U, NODES)
     found, apart = np.array([0.0, 1.0, 0.05, 0.0]), 0.0
     for _ in range(ROUNDS):
-        below = norm.cdf(nodes) * (1 - apart) * ordered.size
+        below = ndtr(nodes) * (1 - apart) * ordered.size
         used = below > FEWEST_BELOW
         u, quantiles = nodes[used], ordered[below[used].astype(int)].astype(float)
         if len(u) < 2 * len(found):  # too few pixels for a shape of their own
             return Null(centre=float(np.median(ordered)), scale=_scale(ordered), g=0.0, h=0.0, apart=0.0)
-        weight = norm.pdf(u) / np.sqrt(norm.cdf(u) * norm.sf(u))  # one over the error of a quantile
+        weight = np.exp(-(u**2) / 2) / np.sqrt(ndtr(u) * ndtr(-u))  # one over the error of a quantile, but for a factor
         start = np.array([np.median(ordered), max(_scale(ordered), 1e-12), *found[2:]])
 
         def residual(p: np.ndarray, u: np.ndarray = u, quantiles: np.ndarray = quantiles, weight: np.ndarray = weight,
@@ -62,7 +62,7 @@ def fit_null(z: np.ndarray) -> Null:
         found = least_squares(residual, np.clip(start, [-np.inf, 0, 0, 0], [np.inf, np.inf, MOST_G, MOST_H]), x_scale=(
             start[1], start[1], 0.1, 0.01), bounds=([-np.inf, 0, 0, 0], [np.inf, np.inf, MOST_G, MOST_H])).x
         beyond = found[0] + found[1] * _g_and_h(APART_U, found[2], found[3])
-        apart = max(0.0, 1 - np.searchsorted(ordered, beyond) / ordered.size - norm.sf(APART_U))
+        apart = max(0.0, 1 - np.searchsorted(ordered, beyond) / ordered.size - ndtr(-APART_U))
     centre, scale, g, h = (float(v) for v in found)
     return Null(centre=centre, scale=scale, g=g, h=h, apart=float(apart))
 
@@ -73,5 +73,5 @@ def _g_and_h(u: np.ndarray | float, g: float, h: float) -> np.ndarray | float:
 
 def _scale(ordered: np.ndarray) -> float:
     """Standard deviation from the lower half: median minus the 15.87 % quantile."""
-    middle, low = (float(ordered[int(p * (ordered.size - 1))]) for p in (0.5, norm.cdf(-1)))
+    middle, low = (float(ordered[int(p * (ordered.size - 1))]) for p in (0.5, ndtr(-1)))
     return middle - low

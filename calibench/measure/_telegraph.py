@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ..records import Frame
 
@@ -38,7 +38,7 @@ class TimeSeries:
 def candidates(variance_dn2: np.ndarray, freedom: int, typical_dn2: float, also: np.ndarray) -> np.ndarray:
     """(P, 2) x, y of the pixels whose temporal variance has a surplus; of too many for the memory the largest, those in `also`
     (H, W) bool first."""
-    limit = max(1 + LEAST_SURPLUS, chi2.isf(SURPLUS_BY_CHANCE, freedom) / freedom)
+    limit = max(1 + LEAST_SURPLUS, chdtri(freedom, SURPLUS_BY_CHANCE) / freedom)
     rows, columns = np.nonzero(variance_dn2 > limit * typical_dn2)
     order = np.lexsort((-variance_dn2[rows, columns], ~also[rows, columns]))[: MOST_VALUES // (freedom + 2)]
     return np.stack([columns[order], rows[order]], -1)
