@@ -121,6 +121,7 @@ def test_every_setting_of_a_measurement_is_described_with_its_default(root, name
     for key, value in vars(settings()).items():
         if value is not None:
             shown = str(list(value)) if isinstance(value, tuple) else str(value)
+            shown = shown.lower() if isinstance(value, bool) else shown  # as TOML writes it
             assert described[key] == shown, f"measure.{name}.{key}"
 
 
