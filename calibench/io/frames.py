@@ -19,12 +19,12 @@ from .. import registry
 from ..errors import BadInput, Contradiction
 from ..records import Frame
 from .alignment import right_aligned
+from .file_bytes import file_bytes
 from .metadata import FrameMetadata, merge
-from .readers._reading import MAX_PIXELS, Reading
+from .readers._reading import Reading
 from .sidecar import sidecar_of
 
 READERS = "calibench.io.readers"
-MAX_FILE_BYTES = 8 * MAX_PIXELS
 
 
 @cache
@@ -71,7 +71,7 @@ def read_frame(path: Path, kind: str | None = None, *, protocol: FrameMetadata |
             contradict each other.
     """
     path = Path(path)
-    raw = _bytes_of(path)
+    raw = file_bytes(path)
     sidecar = sidecar_of(path)
     reading = registry.load(READERS, _reader_name(path)).read(raw, path, sidecar)
     if reading.data.size == 0:
@@ -129,17 +129,3 @@ def _reader_name(path: Path) -> str:
         raise BadInput("no reader knows this kind of file", file=path, mend=f"files read are: {_known_suffixes()}")
     return name
 
-
-def _bytes_of(path: Path) -> bytes:
-    try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise BadInput(f"{size} bytes are more than any frame of {MAX_PIXELS // 10**6} megapixels needs", file=path,
-                           mend="leave it out")
-        raw = path.read_bytes()
-    except OSError as error:
-        raise BadInput(f"cannot be opened: {error.strerror or error}", file=path,
-                       mend="check the path and the rights") from error
-    if not raw:
-        raise BadInput("is empty (0 bytes)", file=path, mend="copy it again from the camera, or leave it out")
-    return raw

@@ -15,7 +15,7 @@ BYTES_OF_TYPE = {ASCII: 1, SHORT: 2, LONG: 4, RATIONAL: 8}
 MAX_TAGS = 500
 
 
-def exif_of(raw: bytes) -> tuple[FrameMetadata, tuple[str, ...]]:
+def exif_of(raw: bytes | memoryview) -> tuple[FrameMetadata, tuple[str, ...]]:
     """What the EXIF tags of a TIFF structure say, and notes.
 
     The ISO setting is the camera's gain setting. DateTimeOriginal is the camera's local time of an unknown zone, so it is
@@ -32,7 +32,7 @@ def exif_of(raw: bytes) -> tuple[FrameMetadata, tuple[str, ...]]:
                          camera=model or None), notes
 
 
-def _directory(raw: bytes, order: str, at: int) -> dict[int, object]:
+def _directory(raw: bytes | memoryview, order: str, at: int) -> dict[int, object]:
     """Tag -> text, number or ratio of one image file directory (TIFF 6.0, section 2); the first value of each tag."""
     tags: dict[int, object] = {}
     if at + 2 > len(raw):
@@ -45,7 +45,7 @@ def _directory(raw: bytes, order: str, at: int) -> dict[int, object]:
         if size == 0 or start + size > len(raw):
             continue
         if kind == ASCII:
-            tags[tag] = raw[start:start + min(size, 200)].split(b"\0")[0].decode("ascii", "replace").strip()
+            tags[tag] = bytes(raw[start:start + min(size, 200)]).split(b"\0")[0].decode("ascii", "replace").strip()
         elif kind == RATIONAL:
             above, below = struct.unpack_from(f"{order}II", raw, start)
             tags[tag] = above / below if below else None

@@ -1,11 +1,13 @@
 """Reading: what a reader makes of one file, and the checks that all readers share.
 
 A reader is a module of this folder with `SUFFIXES` (lower case, with the dot) and
-`read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading`. The file is read from disk once; the reader decodes the bytes.
+`read(raw: memoryview, file: Path, sidecar: Sidecar) -> Reading`. The file is read from disk once; the reader decodes its
+bytes, and `data` may lie in them.
 """
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -30,6 +32,29 @@ class Reading:
     header: FrameMetadata = field(default_factory=FrameMetadata)
     lossy: bool = False
     notes: tuple[str, ...] = ()
+
+
+class Stream(io.RawIOBase):
+    """Bytes in memory as a file to read from; unlike `io.BytesIO` it does not copy them."""
+
+    def __init__(self, raw: memoryview):
+        self._raw, self._at = raw, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        self._at = max(0, offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: len(self._raw)}[whence])
+        return self._at
+
+    def readinto(self, target: memoryview) -> int:
+        part = self._raw[self._at:self._at + len(target)]
+        target[:len(part)] = part
+        self._at += len(part)
+        return len(part)
 
 
 def check_claim(width: int, height: int, *, file: Path, claimed_bytes: int, available_bytes: int,

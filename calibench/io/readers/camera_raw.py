@@ -18,7 +18,7 @@ from ._reading import Reading, check_claim, decoding
 SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
 
 
-def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
+def read(raw: memoryview, file: Path, sidecar: Sidecar) -> Reading:
     """The visible part of the mosaic, undemosaiced, black level not subtracted; black and white level as the file states.
 
     Raises:

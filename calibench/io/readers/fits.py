@@ -35,7 +35,7 @@ TEXTS = {"kind": ("IMAGETYP", "FRAME"), "bayer_pattern": ("BAYERPAT", "COLORTYP"
          "camera": ("INSTRUME",)}
 
 
-def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
+def read(raw: memoryview, file: Path, sidecar: Sidecar) -> Reading:
     """The one image of the file with its keywords, top row first.
 
     Raises:

@@ -16,7 +16,7 @@ SUFFIXES = (".raw", ".bin")
 MEND = 'write beside it <file name>.toml with: width = 752, height = 480, dtype = "uint16", endianness = "little"'
 
 
-def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
+def read(raw: memoryview, file: Path, sidecar: Sidecar) -> Reading:
     """The pixels as the sidecar lays them out.
 
     Raises:

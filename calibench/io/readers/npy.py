@@ -15,7 +15,7 @@ from ._reading import Reading, check_claim, decoding, frame_values
 SUFFIXES = (".npy",)
 
 
-def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
+def read(raw: memoryview, file: Path, sidecar: Sidecar) -> Reading:
     """The array of the file.
 
     Raises:

@@ -19,7 +19,7 @@ SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 SOS, EOI, APP1 = 0xDA, 0xD9, 0xE1
 
 
-def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
+def read(raw: memoryview, file: Path, sidecar: Sidecar) -> Reading:
     """The picture on the sensor's own axes (an EXIF orientation is not applied), colours as their mean.
 
     Raises:
@@ -27,7 +27,7 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
     """
     import cv2
 
-    header, notes = FrameMetadata(), ()
+    raw, header, notes = bytes(raw), FrameMetadata(), ()
     if raw.startswith(b"\xff\xd8"):
         width, height, exif = _walk_jpeg(raw, file)
         # The least a JPEG can spend is one bit for a block of 64 pixels.

@@ -17,7 +17,7 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by colour type, table 11.1
 
 
-def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
+def read(raw: memoryview, file: Path, sidecar: Sidecar) -> Reading:
     """The picture as stored, colours as their mean.
 
     Raises:
@@ -25,6 +25,7 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
     """
     import cv2
 
+    raw = bytes(raw)
     width, height, bits, colour = _header(raw, file)
     check_claim(width, height, file=file, claimed_bytes=width * height * bits * CHANNELS[colour] // 8,
                 available_bytes=len(raw), compressed=True)

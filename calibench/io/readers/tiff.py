@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import logging
 import math
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from ...errors import BadInput
 from ..sidecar import Sidecar
 from ._exif import exif_of
-from ._reading import TRUNCATED_MEND, Reading, check_claim, decoding, frame_values, luminance
+from ._reading import TRUNCATED_MEND, Reading, Stream, check_claim, decoding, frame_values, luminance
 
 SUFFIXES = (".tif", ".tiff")
 REDUCED_IMAGE = 1  # bit of NewSubfileType: a preview of another image of the file
@@ -22,7 +21,7 @@ WHITE_IS_ZERO = 0
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 
-def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
+def read(raw: memoryview, file: Path, sidecar: Sidecar) -> Reading:
     """The one full image of the file, colours as their mean; exposure and ISO from its EXIF directory.
 
     Raises:
@@ -30,7 +29,7 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
     """
     import tifffile
 
-    with decoding(file, "TIFF"), tifffile.TiffFile(io.BytesIO(raw)) as tiff:
+    with decoding(file, "TIFF"), tifffile.TiffFile(Stream(raw)) as tiff:
         pages = [page for page in tiff.pages if not int(page.subfiletype or 0) & REDUCED_IMAGE]
         if not pages:
             raise BadInput("holds no image", file=file, mend=TRUNCATED_MEND)
@@ -56,7 +55,7 @@ def read(raw: bytes, file: Path, sidecar: Sidecar) -> Reading:
     return Reading(data=frame_values(data, file=file), header=header, notes=(*notes, *exif_notes))
 
 
-def _in_place(page: object, raw: bytes) -> np.ndarray | None:
+def _in_place(page: object, raw: memoryview) -> np.ndarray | None:
     """The plain pixels of an uncompressed image where they lie in the file; None where they do not lie there as they are.
 
     The strips of such an image nearly always follow one another, and copying them costs more than reading the file.
@@ -72,7 +71,7 @@ def _in_place(page: object, raw: bytes) -> np.ndarray | None:
     return np.frombuffer(raw, page.dtype.newbyteorder(byte_order), math.prod(page.shape), start).reshape(page.shape)
 
 
-def _check(page: object, raw: bytes, file: Path) -> None:
+def _check(page: object, raw: memoryview, file: Path) -> None:
     if page.photometric == WHITE_IS_ZERO:
         raise BadInput("is stored inverted (white is zero)", file=file, mend="save it with black as zero")
     if page.dtype is None:
