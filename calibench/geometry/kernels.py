@@ -116,12 +116,13 @@ def bend_rational(k, x, y):
 def unproject(camera, k, fisheye, fold, xy):
     """Raw pixels (N, 2) -> unit directions (N, 3) in camera axes; NaN where there is none.
 
-    camera (5,): fx, fy, cx, cy, and -1 for a mirrored camera, else 1. k (12,): terms in OpenCV's order, zero where a model
+    camera (6,): fx, fy, cx, cy, -1 for a mirrored camera, else 1, and skew. k (12,): terms in OpenCV's order, zero where a model
     lacks them (a fisheye has four). fold: radius (fisheye: angle) up to which the lens does not fold.
     """
     out = np.empty((len(xy), 3))
     for i in range(len(xy)):
-        xd, yd = (xy[i, 0] - camera[2]) / camera[0], (xy[i, 1] - camera[3]) / camera[1]
+        yd = (xy[i, 1] - camera[3]) / camera[1]
+        xd = (xy[i, 0] - camera[2] - camera[5] * yd) / camera[0]
         h = np.sqrt(xd * xd + yd * yd)
         if fisheye:
             t, low, high = min(h, 0.95 * fold), 0.0, fold

@@ -16,7 +16,8 @@ def frozen(value: object, *, name: str, shape: tuple[int | None, ...], dtype: ob
         BadInput: the shape does not fit.
     """
     array = np.asarray(value, dtype=dtype)
-    fits = array.ndim == len(shape) and all(w is None or w == n for w, n in zip(shape, array.shape, strict=True))
+    fits = array.shape == shape or (
+        array.ndim == len(shape) and all(w is None or w == n for w, n in zip(shape, array.shape, strict=True)))
     if not fits:
         wanted = "(" + ", ".join("any" if w is None else str(w) for w in shape) + ")"
         raise BadInput(f"{name} has shape {array.shape}, expected {wanted}")

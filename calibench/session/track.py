@@ -8,7 +8,7 @@ from time import perf_counter
 from ..calmap.conditions import outside_conditions
 from ..io.metadata import utc
 from ..records import CalibrationMap, Frame
-from ..stars.solve import Solution, completed
+from ..stars.solve import Solution, pointing_of
 from ..stars.tracking.layers import Layers
 from ..stars.tracking.tracker import Tracker
 from .sky import Sky, SolvedFrame
@@ -65,7 +65,7 @@ class Track:
         start = perf_counter()
         spots, found, attitude = self._tracker.follow(frame, time_s, observer)
         timings = {"read": read_s, "correct": start - begin, "detect": 0.0, "identify": 0.0, "attitude": perf_counter() - start}
+        pointing = pointing_of(found, attitude, observer) if attitude.status == "solved" else {}
         solution = Solution(file=frame.file, spots=spots, identification=replace(found, file=frame.file), attitude=attitude,
-                            timings_s=timings)
-        solution = completed(solution, observer, calibrated=self._tracker.calibrated)
+                            timings_s=timings, calibrated=self._tracker.calibrated, **pointing)
         return SolvedFrame(frame=frame, observer=observer, solution=solution, outside=outside_conditions(frame, layers))

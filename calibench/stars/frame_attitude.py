@@ -17,8 +17,11 @@ import numpy as np
 
 from .. import registry
 from ..errors import BadInput
+from ..geometry import kernels as geometry_kernels
 from ..geometry import projection, rotation
 from ..records import Attitude, Identification
+from .attitude import kernels
+from .per_lens import lens_terms
 from .view import CALIBRATED_MODEL_SD_PX, GUESSED_MODEL_SD_PX
 
 OUTLIER_SIGMA = 5.0
@@ -26,12 +29,18 @@ FEWEST_STARS = 4
 MOST_REJECTED = 0.25  # of the stars: where more of them miss, the frame's errors are larger than stated and no star is to blame
 SURPRISE = 3.0
 LARGEST_SD_RAD = 0.1  # a rotation less sure than this about some axis is not observed
+NOTHING = np.zeros((0, 0))
+NOTHING.flags.writeable = False  # as a record's arrays are: one compiled form serves both
+
+
+def model_variance_px2(calibrated: bool) -> float:
+    """What the lens model itself may be off, px^2."""
+    return (CALIBRATED_MODEL_SD_PX if calibrated else GUESSED_MODEL_SD_PX) ** 2
 
 
 def spot_weights(found: Identification, *, calibrated: bool) -> np.ndarray:
     """Inverse covariance (M, 2, 2), px^-2, of the matched spots, with what the lens model itself may be off."""
-    model_sd = CALIBRATED_MODEL_SD_PX if calibrated else GUESSED_MODEL_SD_PX
-    return np.linalg.inv(found.covariance_px2 + np.eye(2) * model_sd**2)
+    return np.linalg.inv(found.covariance_px2 + np.eye(2) * model_variance_px2(calibrated))
 
 
 def attitude_without_outliers(found: Identification, method: str, *, calibrated: bool) -> tuple[Identification, Attitude]:
@@ -46,7 +55,7 @@ def attitude_without_outliers(found: Identification, method: str, *, calibrated:
     try:
         attitude = find_attitude(found, method, calibrated=calibrated)
         for rejected in range(most + 1):
-            off = _misses(attitude.residual_px, spot_weights(found, calibrated=calibrated))
+            off = _misses(attitude.residual_px, found, calibrated)
             worst = int(np.argmax(off))
             if off[worst] <= OUTLIER_SIGMA or rejected == most or len(off) <= FEWEST_STARS:
                 break
@@ -54,7 +63,7 @@ def attitude_without_outliers(found: Identification, method: str, *, calibrated:
             attitude = find_attitude(found, method, calibrated=calibrated)
     except BadInput as fault:
         return found, Attitude.unsolved(status="rejected", method=method, reason=f"no attitude: {fault.what}")
-    if not np.sqrt(np.diag(attitude.covariance_rad2).max()) < LARGEST_SD_RAD:
+    if not max(np.diagonal(attitude.covariance_rad2).tolist()) < LARGEST_SD_RAD**2:
         return found, Attitude.unsolved(status="rejected", method=method, reason="the stars are too close together to tell "
                                         "the rotation about them")
     return found, attitude
@@ -66,40 +75,29 @@ def find_attitude(found: Identification, method: str, *, calibrated: bool) -> At
     Raises:
         UsageError: unknown method. BadInput: the stars' directions do not determine a rotation.
     """
-    lens, stars = found.intrinsics, found.direction_icrs
-    module = registry.load("calibench.stars.attitude", method)
-    v, by_xy = projection.unproject_with_jacobian(lens, found.xy_px)
-    weight = spot_weights(found, calibrated=calibrated)
-    sigma2 = np.trace(by_xy @ np.linalg.inv(weight) @ np.swapaxes(by_xy, 1, 2), axis1=1, axis2=2) / 2
-    matrix = module.attitude(v, stars, 1 / sigma2)
-    u = stars @ matrix.T
-    xy, by_v, by_p = projection.project_with_jacobian(lens, u)
+    lens, own, model = found.intrinsics, found.covariance_px2, model_variance_px2(calibrated)
+    module, camera, terms = registry.load("calibench.stars.attitude", method), lens_terms(lens), len(lens.distortion)
+    v = geometry_kernels.unproject(*camera, found.xy_px)
+    if np.isnan(v).any():
+        projection.unproject(lens, found.xy_px)  # says which pixel, and why
+    _, measured_by_v, _ = kernels.project(*camera, terms, v)
+    weight = 1 / kernels.direction_variance(measured_by_v, own, model)
+    matrix = module.attitude(v, found.direction_icrs, weight)
+    u = found.direction_icrs @ matrix.T
+    xy, by_v, by_p = kernels.project(*camera, terms, u)
     residual = found.xy_px - xy
-    cross = rotation.skew(u)
-    covariance_px2 = found.covariance_px2 if calibrated else np.linalg.inv(weight)
-    a = module.effective_weights(v, 1 / sigma2)[:, None, None] * sigma2.mean()
-    turned = a * (cross @ by_xy)
-    gain = np.linalg.inv(np.einsum("m,mij->ij", a[:, 0, 0], np.eye(3) - u[:, :, None] * u[:, None, :]))
-    covariance = gain @ np.einsum("mij,mjk,mlk->il", turned, covariance_px2, turned) @ gain
     # What the lens's own covariance lets expect is no surprise: it is told apart, as the systematic part.
-    by_lens = by_p @ lens.covariance @ np.swapaxes(by_p, 1, 2) if calibrated and np.isfinite(lens.covariance).all() else 0.0
-    weight = np.linalg.inv(covariance_px2 + by_lens)
-    chi2, freedom = _smallest_chi2(residual, by_v @ -cross, weight), max(2 * len(residual) - 3, 1)
+    expected = lens.covariance if calibrated and np.isfinite(lens.covariance).all() else NOTHING
+    covariance, chi2 = kernels.spread(measured_by_v, module.effective_weights(v, weight), own, 0.0 if calibrated else model, u,
+                                      by_v, by_p, expected, residual)
+    freedom = max(2 * len(residual) - 3, 1)
     scale = chi2 / freedom if chi2 > freedom + SURPRISE * np.sqrt(2 * freedom) else 1.0
     return Attitude(status="solved", method=method, q_cam_icrs=rotation.quaternion_from_matrix(matrix),
                     covariance_rad2=covariance * scale, residual_px=residual)
 
 
-def _smallest_chi2(residual: np.ndarray, jacobian: np.ndarray, weight: np.ndarray) -> float:
-    """chi^2 of residuals (M, 2) with weights (M, 2, 2) after the best small rotation is taken out; jacobian (M, 2, 3)."""
-    weighted = np.swapaxes(jacobian, 1, 2) @ weight
-    gradient = np.einsum("mij,mj->i", weighted, residual)
-    step = np.linalg.solve((weighted @ jacobian).sum(0), gradient)
-    return float(np.einsum("mi,mij,mj->", residual, weight, residual) - gradient @ step)
-
-
-def _misses(residual: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _misses(residual: np.ndarray, found: Identification, calibrated: bool) -> np.ndarray:
     """How many sigma each star (M,) misses by: of its own error, and of the frame's typical one where that is larger."""
-    d2 = np.einsum("mi,mij,mj->m", residual, weight, residual)
+    d2 = kernels.misses2(residual, found.covariance_px2, model_variance_px2(calibrated))
     typical = max(float(np.median(d2)) / (2 * np.log(2)), 1.0)  # the median of chi^2 with two degrees of freedom is 2 ln 2
     return np.sqrt(d2 / typical)

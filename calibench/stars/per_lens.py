@@ -7,6 +7,9 @@ from collections.abc import Callable
 from functools import wraps
 from typing import TypeVar
 
+import numpy as np
+
+from ..geometry import projection
 from ..records import Intrinsics
 
 MOST_LENSES = 64
@@ -30,3 +33,13 @@ def per_lens(function: Callable[[Intrinsics], Result]) -> Callable[[Intrinsics],
             entry = kept[id(lens)] = weakref.ref(lens), function(lens)
         return entry[1]
     return once
+
+
+@per_lens
+def lens_terms(lens: Intrinsics) -> tuple[np.ndarray, np.ndarray, bool, float]:
+    """A lens as compiled loops take it: camera (6,): fx, fy, cx, cy, -1 where mirrored else 1, skew; terms (12,) in OpenCV's
+    order, zero where the model has none; whether it is a fisheye; radius (fisheye: angle) up to which it does not fold."""
+    camera = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, -1.0 if lens.mirrored else 1.0, lens.skew_px or 0.0])
+    terms = np.zeros(12)
+    terms[:len(lens.distortion)] = lens.distortion
+    return camera, terms, lens.is_fisheye, projection.fold_angle(lens) if lens.is_fisheye else projection.fold_radius(lens)

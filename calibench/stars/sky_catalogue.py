@@ -21,15 +21,30 @@ def star_directions(table: StarTable, observer: Observer) -> np.ndarray:
 
     Without a date the observer stands still at J2000.0 (DESIGN: positions at epoch J2000.0, no aberration).
     """
-    years = observer.epoch_jyear - table.epoch_jyear
-    ra, dec = table.ra_rad.astype(float), table.dec_rad.astype(float)
-    at = sphere.unit_from_radec(ra, dec)
-    east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], -1)
-    north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], -1)
-    motion = (table.pm_ra_mas_yr[:, None] * east + table.pm_dec_mas_yr[:, None] * north) * (years * MAS_RAD)
-    shift = -np.maximum(table.parallax_mas, 0)[:, None].astype(float) * MAS_RAD * observer.position_au
-    moved = at + motion + shift
-    return sphere.as_seen(moved / np.linalg.norm(moved, axis=1, keepdims=True), observer)
+    return Rest.of(table).seen_by(observer)
+
+
+class Rest(NamedTuple):
+    """The stars without an observer: at (N, 3) at the table's epoch, motion (N, 3) rad a year, parallax (N, 1) rad."""
+
+    at: np.ndarray
+    motion: np.ndarray
+    parallax: np.ndarray
+    epoch_jyear: float
+
+    @classmethod
+    def of(cls, table: StarTable) -> Rest:
+        ra, dec = table.ra_rad.astype(float), table.dec_rad.astype(float)
+        east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], -1)
+        north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], -1)
+        motion = (table.pm_ra_mas_yr[:, None] * east + table.pm_dec_mas_yr[:, None] * north) * MAS_RAD
+        parallax = np.maximum(table.parallax_mas, 0)[:, None].astype(float) * MAS_RAD
+        return cls(sphere.unit_from_radec(ra, dec), motion, parallax, table.epoch_jyear)
+
+    def seen_by(self, observer: Observer) -> np.ndarray:
+        """(N, 3) unit vectors as the observer sees them."""
+        moved = self.at + self.motion * (observer.epoch_jyear - self.epoch_jyear) - self.parallax * observer.position_au
+        return sphere.as_seen(moved / np.sqrt((moved**2).sum(1))[:, None], observer)
 
 
 class StarGrid(NamedTuple):
@@ -69,6 +84,15 @@ class SkyCatalogue:
             table, directions = table.take(order), directions[order]
         return cls(table=table, observer=observer, directions=directions, magnitude=table.hp_mag.astype(float),
                    tree=cKDTree(directions))
+
+    @cached_property
+    def _rest(self) -> Rest:
+        return Rest.of(self.table)
+
+    def seen_at(self, rows: np.ndarray, observer: Observer) -> np.ndarray:
+        """Directions (M, 3) of these rows as another observer sees them."""
+        rest = self._rest
+        return Rest(rest.at[rows], rest.motion[rows], rest.parallax[rows], rest.epoch_jyear).seen_by(observer)
 
     @cached_property
     def grid(self) -> StarGrid:

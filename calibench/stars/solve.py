@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from time import perf_counter
 
 import numpy as np
@@ -44,8 +45,9 @@ class Lens:
 class Solution:
     """One frame's way through the sky wing. ra, dec, roll: of the image's centre, NaN without a solution.
 
-    systematic_*: what the lens's uncertainty adds, common to all frames of one map: of the attitude (3, 3) in camera axes,
-    and of the image's centre (rad, rms of the two axes); infinite where no map gave the lens.
+    calibrated: a map gave the lens. systematic_*: what its uncertainty adds, common to all frames of one map: of the attitude
+    (3, 3) in camera axes, and of the image's centre (rad, rms of the two axes), computed when first asked for; infinite where
+    no map gave the lens.
     """
 
     file: str
@@ -56,13 +58,27 @@ class Solution:
     dec_rad: float = np.nan
     roll_rad: float = np.nan
     fov_rad: float = np.nan
-    systematic_covariance_rad2: np.ndarray = field(default_factory=lambda: np.full((3, 3), np.inf))
-    systematic_centre_rad: float = np.inf
+    calibrated: bool = False
     timings_s: dict[str, float] = field(default_factory=dict)
 
     @property
     def status(self) -> str:
         return self.attitude.status
+
+    @cached_property
+    def _systematic(self) -> tuple[np.ndarray, float]:
+        if not self.calibrated or self.status != "solved":
+            return np.full((3, 3), np.inf), np.inf
+        matrix = rotation.matrix_from_quaternion(self.attitude.q_cam_icrs)
+        return systematic(self.identification, matrix, spot_weights(self.identification, calibrated=True))
+
+    @property
+    def systematic_covariance_rad2(self) -> np.ndarray:
+        return self._systematic[0]
+
+    @property
+    def systematic_centre_rad(self) -> float:
+        return self._systematic[1]
 
     @property
     def sigma_cross_rad(self) -> float:
@@ -111,33 +127,23 @@ class Solver:
 
     def _from_spots(self, spots: Spots, size: tuple[int, int], file: str, lens: Lens, observer: Observer | None,
                     clock: list[float]) -> Solution:
+        calibrated = lens.intrinsics is not None
         found = self.finder.identify(spots, size, lens=lens.intrinsics, fov_rad=lens.fov_rad, familiar=self.familiar.get(size))
-        found = replace(found, file=file)
         clock.append(perf_counter())
         observer = observer or self.finder.sky.observer
         if found.status == "solved":
-            found = as_observed(found, self.finder.sky.table, observer)
-            found, attitude = attitude_without_outliers(found, self.attitude_method, calibrated=lens.intrinsics is not None)
-            if lens.intrinsics is None:
+            found = as_observed(found, self.finder.sky, observer, file=file)
+            found, attitude = attitude_without_outliers(found, self.attitude_method, calibrated=calibrated)
+            if not calibrated:
                 self.familiar[size] = found.intrinsics
         else:
+            found = replace(found, file=file)
             attitude = Attitude.unsolved(status=found.status, method=self.attitude_method, reason=found.reason)
+        pointing = {} if attitude.status != "solved" else pointing_of(found, attitude, observer)
         clock.append(perf_counter())
         timings = dict(zip(("detect", "identify", "attitude"), np.diff(clock).tolist(), strict=True))
-        solution = Solution(file=file, spots=spots, identification=found, attitude=attitude, timings_s=timings)
-        return completed(solution, observer, calibrated=lens.intrinsics is not None)
-
-
-def completed(solution: Solution, observer: Observer, *, calibrated: bool) -> Solution:
-    """With what follows from a solved attitude: the systematic error of a map's lens, and where the image's centre looks."""
-    found, attitude = solution.identification, solution.attitude
-    if attitude.status != "solved":
-        return solution
-    if calibrated:
-        matrix = rotation.matrix_from_quaternion(attitude.q_cam_icrs)
-        bias, centre = systematic(found, matrix, spot_weights(found, calibrated=True))
-        solution = replace(solution, systematic_covariance_rad2=bias, systematic_centre_rad=centre)
-    return _pointed(solution, observer)
+        return Solution(file=file, spots=spots, identification=found, attitude=attitude, timings_s=timings,
+                        calibrated=calibrated, **pointing)
 
 
 @per_lens
@@ -147,12 +153,12 @@ def _centre_and_above(lens: Intrinsics) -> np.ndarray:
     return projection.unproject(lens, np.array([[(w - 1) / 2, (h - 1) / 2], [(w - 1) / 2, (h - 1) / 2 - 1]]))
 
 
-def _pointed(solution: Solution, observer: Observer) -> Solution:
-    """With the sky direction of the image's centre: aberration and refraction removed, so that it is where a catalogue says."""
-    lens = solution.identification.intrinsics
-    centre, above = _centre_and_above(lens)
-    matrix = rotation.matrix_from_quaternion(solution.attitude.q_cam_icrs)
-    there, up = (sphere.as_catalogued(matrix.T @ v, observer) for v in (centre, above))
+def pointing_of(found: Identification, attitude: Attitude, observer: Observer) -> dict[str, float]:
+    """Where the image's centre looks, as fields of a Solution: aberration and refraction removed, so that it is where a
+    catalogue says."""
+    lens = found.intrinsics
+    matrix = rotation.matrix_from_quaternion(attitude.q_cam_icrs)
+    there, up = sphere.as_catalogued(_centre_and_above(lens) @ matrix, observer)
     ra, dec = sphere.radec_from_unit(there)
-    return replace(solution, ra_rad=float(ra), dec_rad=float(dec), roll_rad=sphere.position_angle(there, up),
-                   fov_rad=horizontal_fov(lens))
+    return {"ra_rad": float(ra), "dec_rad": float(dec), "roll_rad": sphere.position_angle(there, up),
+            "fov_rad": horizontal_fov(lens)}

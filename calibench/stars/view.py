@@ -17,7 +17,7 @@ from ..geometry import kernels, projection
 from ..geometry.projection_error import direction_covariance
 from ..records import Intrinsics, Spots
 from .kernels import TOLERANCE_SIGMA
-from .per_lens import per_lens
+from .per_lens import lens_terms, per_lens
 
 GUESSED_RATIO_ERROR = 0.012  # an uncalibrated lens bends length ratios by this much (k1 of -0.1 over 20 degrees)
 CALIBRATED_MISFIT = 3e-4  # of an angle: focus drift that a calibrated lens is allowed
@@ -98,16 +98,6 @@ class KnownLens:
     intrinsics: Intrinsics
 
     @cached_property
-    def _camera(self) -> tuple:
-        lens = self.intrinsics
-        camera = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, -1.0 if lens.mirrored else 1.0])
-        terms = np.zeros(12)
-        terms[:len(lens.distortion)] = lens.distortion
-        radius = projection.fold_radius(lens)
-        fold = projection.fold_angle(lens) if lens.is_fisheye else radius
-        return camera, terms, lens.is_fisheye, fold
-
-    @cached_property
     def errors(self) -> np.ndarray:
         """(rows, columns, 2) on a GRID over the image: (rad per px)^2, mean of the axes, and the lens's own variance, rad^2.
 
@@ -133,7 +123,7 @@ class KnownLens:
             BadInput: a spot lies where the lens folds.
         """
         slack, extra = (DRIFTED_SCALE_SLACK, DRIFTED_SD_PX) if drifted else (CALIBRATED_MISFIT, CALIBRATED_MODEL_SD_PX)
-        v = kernels.unproject(*self._camera, spots.xy_px)
+        v = kernels.unproject(*lens_terms(self.intrinsics), spots.xy_px)
         if np.isnan(v).any():
             projection.unproject(self.intrinsics, spots.xy_px)  # says which pixel, and why
         sigma = kernels.direction_sigma(self.errors, *self.intrinsics.image_size_px, spots.xy_px, spots.covariance_px2, extra)

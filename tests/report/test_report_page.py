@@ -11,6 +11,7 @@ import pytest
 
 from calibench import registry
 from calibench.calmap.assemble import assemble
+from calibench.geometry import projection
 from calibench.records import (
     DEFECT_FLAGS,
     Attitude,
@@ -28,6 +29,7 @@ from calibench.records import (
     Verdict,
 )
 from calibench.report.build import SECTIONS, build_report
+from calibench.report.numbers import ARCSEC, sigma
 from calibench.report.story import ShotStory, SkyStory, Story
 from calibench.stars.sky_catalogue import SkyCatalogue
 from calibench.stars.solve import Solution
@@ -123,12 +125,12 @@ def solution(rng: np.random.Generator, status: str = "solved") -> Solution:
                         attitude=Attitude(status=status, method="quest", q_cam_icrs=identity, reason="dew on the lens",
                                           covariance_rad2=np.full((3, 3), np.inf)))
     found = Identification(status="solved", method="pattern", spot_rows=np.arange(n), star_rows=np.arange(n), xy_px=xy[:n],
-                           covariance_px2=np.tile(np.eye(2) * 0.01, (n, 1, 1)), direction_icrs=np.tile([0, 0, 1.0], (n, 1)),
-                           false_match_probability=3e-12, intrinsics=lens())
+                           covariance_px2=np.tile(np.eye(2) * 0.01, (n, 1, 1)), false_match_probability=3e-12,
+                           direction_icrs=projection.unproject(lens(), xy[:n]), intrinsics=lens())
     attitude = Attitude(status="solved", method="quest", q_cam_icrs=identity, covariance_rad2=np.diag([1, 1, 25]) * 1e-10,
                         residual_px=np.tile([0.3, -0.4], (n, 1)))
     return Solution(file="s.png", spots=spots, identification=found, attitude=attitude, ra_rad=1.0, dec_rad=-0.2, roll_rad=0.3,
-                    fov_rad=0.5, systematic_centre_rad=2e-5, timings_s={"detect": 0.1, "identify": 0.2})
+                    fov_rad=0.5, calibrated=True, timings_s={"detect": 0.1, "identify": 0.2})
 
 
 @pytest.fixture(scope="module")
@@ -222,11 +224,16 @@ def test_the_same_story_gives_the_same_bytes(story, html):
     "The worst view, blurred, has 0.310 px", "crossed out: 3 outliers among 120 corners",
     "the hottest pixel, (20, 10), collects 770 e-/s", "1 hot, 1 hot_thesis", "gain unknown", "10 e-/DN",
     "Half of the light lies within 2 px", "sky_b: no match: dew on the lens", "3.0 × 10⁻¹²",
-    "The brightest matched is Firststar", "with the map 0.500 px rms", "4.1, 12", "ab" * 32,
+    "The brightest matched is Firststar", "with the map 0.500 px rms", "ab" * 32,
     "The whole map earns 60 arcsec over no map; of its layers dark earns most, 12.5 arcsec", "falls without psf (−1 arcsec)",
 ])
 def test_what_the_story_holds_is_said_in_words_and_figures(page, said):
     assert said.lower() in page.text.lower()
+
+
+def test_the_systematic_error_of_a_solution_is_given(page, story):
+    centre = story.sky[0].calibrated.systematic_centre_rad * ARCSEC
+    assert np.isfinite(centre) and f"{sigma(centre)}, {sigma(centre, 3)}" in page.text
 
 
 def test_readings_follow_the_data(story):

@@ -20,6 +20,7 @@ from scipy.special import bdtrc
 from ...geometry import kernels as geometry_kernels
 from ...geometry import projection, rotation
 from ...records import SPOT_FLAGS, Attitude, Frame, Identification, Intrinsics, Observer, Spots
+from ..per_lens import lens_terms
 from ..sky_catalogue import SkyCatalogue, star_directions
 from ..verify import ACCEPT
 from ..view import CALIBRATED_MODEL_SD_PX, GUESSED_MODEL_SD_PX
@@ -136,7 +137,7 @@ class Tracker:
         """The brightest of the field's stars whose windows lie on the frame: places in the field, pixels, Jacobians."""
         w, h = lens.image_size_px
         if not lens.is_fisheye:
-            camera, terms, _, fold = _lens_terms(lens)
+            camera, terms, _, fold = lens_terms(lens)
             return kernels.predict(self._field.directions, matrix, camera, terms, fold, w, h, self._reach_px, MOST_STARS)
         u = self._field.directions @ matrix.T
         xy = projection.project(lens, u) - self._reach_px
@@ -149,7 +150,7 @@ class Tracker:
         model_sd = CALIBRATED_MODEL_SD_PX if self.calibrated else GUESSED_MODEL_SD_PX
         covariance = np.ascontiguousarray(spots.covariance_px2.reshape(-1, 4)[:, [0, 3, 1]])
         circle = np.maximum(AGREES_SIGMA * np.sqrt(covariance[:, :2].mean(1) + model_sd**2), SMALLEST_CIRCLE_PX)
-        v = geometry_kernels.unproject(*_lens_terms(lens), spots.xy_px)
+        v = geometry_kernels.unproject(*lens_terms(lens), spots.xy_px)
         fitted = np.ascontiguousarray(matrix)
         agreeing, residual, by_turn, weight = kernels.fit_track(v, directions, by_v, covariance, model_sd, circle, FEWEST_STARS,
                                                                 fitted)
@@ -215,12 +216,3 @@ def _spots(found: np.ndarray, layers: Layers, trail: np.ndarray) -> Spots:
     gain = layers.gain_dn_per_e or 1.0
     return Spots(xy_px=found[:, :2], covariance_px2=covariance, flux_e=found[:, 5] / gain, background_dn=found[:, 7],
                  peak_dn=found[:, 6], pixels=np.zeros(len(found)), flags=flags)
-
-
-def _lens_terms(lens: Intrinsics) -> tuple:
-    """A lens as geometry's compiled loops take it."""
-    camera = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, -1.0 if lens.mirrored else 1.0])
-    terms = np.zeros(12)
-    terms[:len(lens.distortion)] = lens.distortion
-    fold = projection.fold_angle(lens) if lens.is_fisheye else projection.fold_radius(lens)
-    return camera, terms, lens.is_fisheye, fold
