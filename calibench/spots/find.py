@@ -13,9 +13,10 @@ import numpy as np
 from .. import registry
 from ..records import DEFECT_FLAGS, UNUSABLE, CorrectedFrame, PsfMap, Spots
 from .background import background_and_noise, busy_area
+from .cut import cut
 from .false_alarms import NoiseLaw, step_from_skewness
 from .flags import flag
-from .kernels import cut
+from .psf import moments_at
 from .scene import Scene
 
 MOST_SPOTS = 500  # the brightest; a frame with more is full of something else than stars
@@ -52,7 +53,8 @@ def find_spots(corrected: CorrectedFrame, psf: PsfMap, *, psf_known: bool = Fals
     peak = np.ascontiguousarray(candidates.peak_xy, np.int64)
     flags = flag(candidates, found, signal=cut(signal, peak, 1, np.float32(0)), noise_dn=noise[peak[:, 1], peak[:, 0]],
                  saturated=cut(saturated, peak, 1, False), broken=cut(broken, peak, 1, False),
-                 image_size_px=signal.shape[::-1], psf=psf if psf_known else None, gain_dn_per_e=corrected.gain_dn_per_e)
+                 image_size_px=signal.shape[::-1], moments_px2=moments_at(psf, candidates.xy_px) if psf_known else None,
+                 gain_dn_per_e=corrected.gain_dn_per_e)
     ok, gain = found.ok, corrected.gain_dn_per_e if np.isfinite(corrected.gain_dn_per_e) else 1.0
     xy = np.where(ok[:, None], found.xy_px, candidates.xy_px)
     flux = np.where(ok, found.flux_dn, candidates.flux_dn)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from .candidates import Candidates
+from .cut import cut
 from .gaussian_fit import fit_gaussians
-from .kernels import cut
 from .scene import Scene
 
 SHAPE_SPOTS = 30

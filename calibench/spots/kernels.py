@@ -1,13 +1,14 @@
-"""Compiled: windows cut out of an image, robust statistics of cells, and their interpolation back to pixels."""
+"""Compiled: robust statistics of cells, their interpolation back to pixels; what is done with the windows of spots."""
 
 from __future__ import annotations
 
-from math import sqrt
+from math import erf, sqrt
 
 import numba
 import numpy as np
 
 from ..kernels import compiled
+from ..records import SPOT_FLAGS
 
 # Sums may be reordered, so that they fill the vector unit; NaN and infinity keep their meaning.
 fast = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
@@ -19,37 +20,19 @@ SETTLED = 1e-3
 START_SAMPLES = 64
 QUARTILES = 1.349  # distance of a Gaussian's quartiles, sigma
 
-
-@compiled
-def cut(image, centre_xy, radius, outside):
-    """Square windows (N, 2r+1, 2r+1) of an image (H, W) about integer centres (N, 2); `outside` beyond its edge."""
-    h, w = image.shape
-    side = 2 * radius + 1
-    out = np.full((len(centre_xy), side, side), outside, image.dtype)
-    for n in range(len(centre_xy)):
-        x0, y0 = centre_xy[n, 0] - radius, centre_xy[n, 1] - radius
-        for j in range(max(0, -y0), min(side, h - y0)):
-            for i in range(max(0, -x0), min(side, w - x0)):
-                out[n, j, i] = image[y0 + j, x0 + i]
-    return out
+EDGE_PX = 2
+BLEND_PX = 4.0  # two spots nearer than this stand in one window
+LONG = 3.0  # major over minor axis of a trail
+SHARPER_SIGMA = 5.0  # a centre above what the PSF allows by this many sigma ...
+SHARPER_BY = 1.15  # ... and by this factor, because the PSF map is not exact
+SATURATED, DEFECT, EDGE, BLEND, TRAIL, FIT_FAILED, COSMIC = (
+    np.uint16(SPOT_FLAGS[name]) for name in ("saturated", "defect", "edge", "blend", "trail", "fit_failed", "cosmic"))
 
 
 @compiled
-def crowded(xy, apart):
-    """Whether each of (N, 2) points has another one nearer than `apart`: (N,) bool."""
-    near = np.zeros(len(xy), np.bool_)
-    for n in range(len(xy)):
-        for m in range(n):
-            dx, dy = xy[n, 0] - xy[m, 0], xy[n, 1] - xy[m, 1]
-            if dx * dx + dy * dy < apart * apart:
-                near[n] = near[m] = True
-    return near
-
-
-@compiled
-def nearer_to_another(xy, corner_xy, side):
-    """Pixels of the windows (N, side, side) at corner_xy (N, 2) that lie nearer to another of the spots, xy (N, 2)."""
-    out = np.zeros((len(xy), side, side), np.bool_)
+def lose_others(xy, corner_xy, lost):
+    """Marks in lost (N, side, side), windows at corner_xy (N, 2), what lies nearer to another of the spots xy (N, 2)."""
+    side = lost.shape[1]
     for n in range(len(xy)):
         for m in range(len(xy)):
             dx, dy = xy[m, 0] - xy[n, 0], xy[m, 1] - xy[n, 1]
@@ -60,8 +43,66 @@ def nearer_to_another(xy, corner_xy, side):
                     # beyond the line half way between the two
                     x, y = corner_xy[n, 0] + i - xy[n, 0] - dx / 2, corner_xy[n, 1] + j - xy[n, 1] - dy / 2
                     if x * dx + y * dy > 0:
-                        out[n, j, i] = True
-    return out
+                        lost[n, j, i] = True
+
+
+@compiled
+def gaussian_moments(xy, coefficients, degree, width, height, least, steepest, out):
+    """Fills out (N, 3), s_xx s_yy s_xy at xy (N, 2), from polynomials over the field (spots/_field.py).
+
+    coefficients: (3, terms). Variances are kept above `least`, the correlation below `steepest`."""
+    for n in range(len(xy)):
+        u, v = 2 * xy[n, 0] / (width - 1) - 1, 2 * xy[n, 1] / (height - 1) - 1
+        for k in range(3):
+            term, value = 0, 0.0
+            for total in range(degree + 1):
+                for power in range(total + 1):
+                    value += coefficients[k, term] * u ** (total - power) * v**power
+                    term += 1
+            out[n, k] = value
+        out[n, 0], out[n, 1] = max(out[n, 0], least), max(out[n, 1], least)
+        limit = steepest * sqrt(out[n, 0] * out[n, 1])
+        out[n, 2] = min(max(out[n, 2], -limit), limit)
+
+
+@compiled
+def flag_spots(xy, peak_xy, ok, blend, elongation, signal, noise, saturated, broken, width, height, moments, gain, flags):
+    """Fills flags (N,) uint16, as `spots/flags.py` describes them.
+
+    signal, saturated, broken: (N, 3, 3). moments: (N, 3), or (0, 3) where the PSF is not known."""
+    for n in range(len(xy)):
+        total = peak = 0.0
+        for j in range(3):
+            for i in range(3):
+                total += signal[n, j, i]
+                if saturated[n, j, i]:
+                    flags[n] |= SATURATED
+                if broken[n, j, i]:
+                    flags[n] |= DEFECT
+        x, y = peak_xy[n, 0], peak_xy[n, 1]
+        if min(x, y, width - 1 - x, height - 1 - y) < EDGE_PX:
+            flags[n] |= EDGE
+        if blend[n]:
+            flags[n] |= BLEND
+        for m in range(n):
+            dx, dy = xy[n, 0] - xy[m, 0], xy[n, 1] - xy[m, 1]
+            if dx * dx + dy * dy < BLEND_PX * BLEND_PX:
+                flags[n] |= BLEND
+                flags[m] |= BLEND
+        if elongation[n] > LONG:
+            flags[n] |= TRAIL
+        if not ok[n]:
+            flags[n] |= FIT_FAILED
+        if len(moments):
+            # The peak pixel's part of the 3x3's light, at most, wherever in the pixel the spot stands.
+            sx, sy = sqrt(2 * moments[n, 0]), sqrt(2 * moments[n, 1])
+            allowed = erf(0.5 / sx) / erf(1.5 / sx) * erf(0.5 / sy) / erf(1.5 / sy)
+            total, peak = max(total, 1e-6), signal[n, 1, 1]
+            shot = gain * max(peak, 0.0) * (1 - allowed) ** 2
+            sd = sqrt(noise[n] ** 2 * (1 + 8 * allowed**2) + shot) / total
+            part = peak / total
+            if part > SHARPER_BY * allowed and part - allowed > SHARPER_SIGMA * sd:
+                flags[n] |= COSMIC
 
 
 @compiled
@@ -158,37 +199,41 @@ def to_pixels(cells, cell, height, width):
 
 
 @fast
-def drift(data, expected, noise, cell, every):
+def drift(data, expected, noise, cell, every, level, count, smooth):
     """How far a frame (H, W) lies above the expectation, from every `every`-th row.
 
+    Room to work in: level, count (rows, columns) float64 of zeros.
+
     Returns:
-        per cell, smoothed with its neighbours, the mean of (data - expected) / noise within the clip (rows, columns); the mean
-        square of it over the frame, as part of a Gaussian's.
+        mean square of (data - expected) / noise within the clip, as part of a Gaussian's; smooth (rows, columns), filled: its
+        mean in each cell with the neighbours.
     """
     h, w = data.shape
-    rows, columns = (h + cell - 1) // cell, (w + cell - 1) // cell
-    level, count = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.float32)
-    squares = np.float32(0)
+    rows, columns = level.shape
+    squares = everywhere = 0.0
     limit = np.float32(CLIP_SIGMA)
     for y in range(every // 2, h, every):
         for c in range(columns):
+            part = slice(c * cell, min((c + 1) * cell, w))
+            values, wanted, sigma = data[y, part], expected[y, part], noise[y, part]
             n = total = square = np.float32(0)
-            for x in range(c * cell, min((c + 1) * cell, w)):
-                z = (np.float32(data[y, x]) - expected[y, x]) / noise[y, x]
+            for x in range(len(values)):
+                z = (np.float32(values[x]) - wanted[x]) / sigma[x]
                 inside = abs(z) <= limit
                 n += np.float32(1) if inside else np.float32(0)
-                total += z if inside else np.float32(0)
-                square += z * z if inside else np.float32(0)
+                z = z if inside else np.float32(0)
+                total += z
+                square += z * z
             level[y // cell, c] += total
             count[y // cell, c] += n
             squares += square
-    smooth, square = np.zeros((rows, columns)), squares / max(count.sum(), np.float32(1)) / np.float32(INSIDE_CLIP**2)
+            everywhere += n
     for r in range(rows):  # each cell with its neighbours, by their numbers of pixels
         for c in range(columns):
-            total = number = 0.0
+            total64 = number = 0.0
             for j in range(max(r - 1, 0), min(r + 2, rows)):
                 for i in range(max(c - 1, 0), min(c + 2, columns)):
-                    part = (2 - abs(j - r)) * (2 - abs(i - c))
-                    total, number = total + part * level[j, i], number + part * count[j, i]
-            smooth[r, c] = total / number if number > 0 else 0.0
-    return smooth, square
+                    weight = (2 - abs(j - r)) * (2 - abs(i - c))
+                    total64, number = total64 + weight * level[j, i], number + weight * count[j, i]
+            smooth[r, c] = total64 / number if number > 0 else 0.0
+    return squares / max(everywhere, 1.0) / INSIDE_CLIP**2

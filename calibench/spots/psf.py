@@ -7,11 +7,13 @@ import numpy as np
 from ..records import PsfMap
 from . import hermite
 from ._field import field_terms
+from .kernels import gaussian_moments
 
 __all__ = ["FWHM_PER_SIGMA", "field_terms", "light", "moments_at"]
 
 FWHM_PER_SIGMA = 2 * np.sqrt(2 * np.log(2))
 SMALLEST_VARIANCE_PX2 = 0.01
+LARGEST_CORRELATION = 0.95
 
 
 def moments_at(psf: PsfMap, xy_px: np.ndarray) -> np.ndarray:
@@ -19,10 +21,9 @@ def moments_at(psf: PsfMap, xy_px: np.ndarray) -> np.ndarray:
 
     Kept positive definite: a polynomial may dip below zero outside where it was measured.
     """
-    s = field_terms(xy_px, psf.image_size_px, psf.degree) @ psf.coefficients[:3].T
-    s[:, :2] = np.maximum(s[:, :2], SMALLEST_VARIANCE_PX2)
-    limit = 0.95 * np.sqrt(s[:, 0] * s[:, 1])
-    s[:, 2] = np.clip(s[:, 2], -limit, limit)
+    s = np.empty((len(xy_px), 3))
+    gaussian_moments(np.ascontiguousarray(xy_px, float), np.ascontiguousarray(psf.coefficients[:3], float), psf.degree,
+                     *psf.image_size_px, SMALLEST_VARIANCE_PX2, LARGEST_CORRELATION, s)
     return s
 
 

@@ -6,17 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .detect.kernels import CELL_PX, SEED_SIGMA
+from .detect.kernels import CELL_PX, ROWS_TOGETHER, SEED_SIGMA
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdMap:
     """expected_dn (H, W) float32, NaN where a pixel is not used; noise_dn (H, W) float32, 1 sigma; seed_dn (H, W) of the
-    frame's type, expected + SEED_SIGMA * noise, `blocked` where a pixel is not used; coarse_dn: noise of cells of CELL_PX."""
+    frame's type, expected + SEED_SIGMA * noise, `blocked` where a pixel is not used; lowest_dn
+    (H / ROWS_TOGETHER, W): the least of it in ROWS_TOGETHER rows; coarse_dn: noise of cells of CELL_PX."""
 
     expected_dn: np.ndarray
     noise_dn: np.ndarray
     seed_dn: np.ndarray
+    lowest_dn: np.ndarray
     coarse_dn: np.ndarray
 
     @property
@@ -48,4 +50,6 @@ def threshold_map(expected_dn: np.ndarray, noise_dn: np.ndarray, dtype: np.dtype
         expected = np.where(usable, expected, np.float32(np.nan))
         noise = np.where(usable, noise, np.float32(1))
     middle = [np.minimum(np.arange(CELL_PX // 2, n + CELL_PX // 2, CELL_PX), n - 1) for n in expected.shape]
-    return ThresholdMap(expected_dn=expected, noise_dn=noise, seed_dn=seed, coarse_dn=np.float64(noise[np.ix_(*middle)]))
+    lowest = np.minimum.reduceat(seed, np.arange(0, len(seed), ROWS_TOGETHER), axis=0)
+    return ThresholdMap(expected_dn=expected, noise_dn=noise, seed_dn=seed, lowest_dn=lowest,
+                        coarse_dn=np.float64(noise[np.ix_(*middle)]))

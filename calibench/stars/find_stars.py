@@ -13,7 +13,7 @@ that the map is made anew from the frame at hand.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,20 +21,23 @@ from ..calmap.correct import correct
 from ..calmap.windows import WindowLayers, Windows
 from ..records import DEFECT_FLAGS, UNUSABLE, CalibrationMap, Frame, Spots
 from ..spots.background import background_and_noise
+from ..spots.candidates import Candidates
 from ..spots.detect.kernels import CELL_PX
-from ..spots.detect.scan import MOST_PEAKS, candidates_on
+from ..spots.detect.scan import candidates_on
 from ..spots.false_alarms import NoiseLaw, k_for_false_alarms, step_from_skewness
 from ..spots.find import FALSE_ALARMS, MOST_SPOTS, ROUGH_SD_PX
 from ..spots.fit.known_shape import LOST_CORE_ERROR, fit_windows, window_radius
 from ..spots.flags import flag
 from ..spots.frame_shape import GUESSED_SHAPE_ERROR, shape_from_frame
-from ..spots.kernels import drift, nearer_to_another
+from ..spots.kernels import drift, lose_others
 from ..spots.psf import moments_at
-from ..spots.scene import Scene
+from ..spots.room import Room
+from ..spots.scene import Centroids, Scene
 from ..spots.threshold_map import ThresholdMap, threshold_map
 
 DRIFT_ROWS = 16
 MOST_DRIFT_SIGMA, MOST_NOISE_CHANGE = 0.25, 0.05
+ROUGH_COVARIANCE_PX2 = np.eye(2) * ROUGH_SD_PX**2
 LEAST_NOISE = 0.05  # of the noise that the map predicts: what the frame itself may show it to be
 
 
@@ -47,15 +50,7 @@ class FindState:
     false_alarms: float = FALSE_ALARMS
     made: int = 0
     sky: _Sky | None = None
-    labels: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int32))
-    lowest: int = 1
-
-    def room(self, shape: tuple[int, int]) -> tuple[np.ndarray, int]:
-        """Labels (H, W) to work in and the lowest that is free."""
-        if self.labels.shape != shape or self.lowest > np.iinfo(np.int32).max - 2 * MOST_PEAKS:
-            self.labels, self.lowest = np.zeros(shape, np.int32), 1
-        self.lowest += MOST_PEAKS + 1
-        return self.labels, self.lowest - MOST_PEAKS - 1
+    room: Room | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +81,9 @@ def find_stars(frame: Frame, calmap: CalibrationMap, state: FindState) -> Spots:
         state.made += 1
         moved, louder = sky.thresholds.no_drift, 1.0
     gain = calmap.gain_dn_per_e
-    labels, lowest = state.room(data.shape)
-    candidates = candidates_on(data, sky.thresholds, sky.k_sigma * louder, drift=moved, labels=labels, lowest=lowest,
+    if state.room is None or state.room.shape != data.shape:
+        state.room = Room(data.shape)
+    candidates = candidates_on(data, sky.thresholds, sky.k_sigma * louder, drift=moved, room=state.room,
                                gain_dn_per_e=float(gain) if np.isfinite(gain) else 0.0)
     if len(candidates) == 0:
         return Spots.none()
@@ -98,39 +94,43 @@ def find_stars(frame: Frame, calmap: CalibrationMap, state: FindState) -> Spots:
     moments = moments_at(calmap.psf, candidates.xy_px) if known else np.tile(sky.moments_px2, (len(candidates), 1))
     centre, radius = np.rint(candidates.xy_px).astype(np.int64), sky.radius
     windows = sky.layers.windows(data, centre, radius)
-    lost = (windows.defects & UNUSABLE) != 0
-    signal = np.where(lost, np.float32(np.nan), windows.signal_dn)
-    x, y = candidates.peak_xy.T
-    noise = sky.thresholds.noise_dn[y, x] * np.float32(louder)
-    floor = np.broadcast_to((noise**2)[:, None, None], signal.shape)
+    signal, lost = windows.signal_dn, (windows.defects & UNUSABLE) != 0
     core_lost = lost[:, radius - 1:radius + 2, radius - 1:radius + 2].any((1, 2))
     error = np.maximum(core_lost * LOST_CORE_ERROR, 0.0 if known else GUESSED_SHAPE_ERROR)
-    signal[nearer_to_another(candidates.xy_px, windows.corner_xy, signal.shape[1])] = np.nan
+    lose_others(candidates.xy_px, windows.corner_xy, lost)
+    signal[lost] = np.nan
+    noise = sky.thresholds.noise_dn[candidates.peak_xy[:, 1], candidates.peak_xy[:, 0]] * np.float32(louder)
+    floor = np.empty_like(signal)
+    floor[:] = (noise**2)[:, None, None]
     found = fit_windows(signal, floor, windows.corner_xy, candidates.xy_px, moments, gain_dn_per_e=gain, model_error=error)
-    return _spots(candidates, found, windows, noise, data.shape, calmap, known)
+    flags = _flags(candidates, found, sky.layers.windows(data, candidates.peak_xy, 1), noise, frame, gain,
+                   moments if known else None)
+    return _spots(candidates, found, flags, frame, gain)
 
 
-def _spots(candidates, found, windows: Windows, noise: np.ndarray, shape: tuple[int, int], calmap: CalibrationMap,
-           known: bool) -> Spots:
-    """Spots with their flags, brightest first, those inside the frame."""
-    near = np.clip(candidates.peak_xy - windows.corner_xy, 1, windows.signal_dn.shape[-1] - 2)  # 3x3 about the peak
-    rows, steps = np.arange(len(near))[:, None, None], np.arange(-1, 2)
-    part = (rows, near[:, 1, None, None] + steps[:, None], near[:, 0, None, None] + steps)
-    defects, background = windows.defects[part], np.where(found.ok, found.background_dn, 0.0)
-    saturated = (defects & DEFECT_FLAGS["saturated"]) != 0
-    broken = (defects & (UNUSABLE & ~DEFECT_FLAGS["saturated"])) != 0
-    light = windows.signal_dn[part] - background[:, None, None]
+def _flags(candidates: Candidates, found: Centroids, near: Windows, noise: np.ndarray, frame: Frame, gain: float,
+           moments: np.ndarray | None) -> np.ndarray:
+    """Flags (N,). near: the corrected 3x3 pixels about each peak."""
+    saturated = (near.defects & DEFECT_FLAGS["saturated"]) != 0
+    broken = (near.defects & (UNUSABLE & ~DEFECT_FLAGS["saturated"])) != 0
+    light = near.signal_dn - np.where(found.ok, found.background_dn, 0.0)[:, None, None]
     light[broken | ~np.isfinite(light)] = 0.0
-    flags = flag(candidates, found, signal=light, noise_dn=noise, saturated=saturated, broken=broken,
-                 image_size_px=shape[::-1], psf=calmap.psf if known else None, gain_dn_per_e=calmap.gain_dn_per_e)
+    return flag(candidates, found, signal=light, noise_dn=noise, saturated=saturated, broken=broken,
+                image_size_px=frame.image_size_px, moments_px2=moments, gain_dn_per_e=gain)
+
+
+def _spots(candidates: Candidates, found: Centroids, flags: np.ndarray, frame: Frame, gain_dn_per_e: float) -> Spots:
+    """Spots brightest first, those inside the frame; a spot whose fit failed keeps its rough place."""
     xy = np.where(found.ok[:, None], found.xy_px, candidates.xy_px)
     flux = np.where(found.ok, found.flux_dn, candidates.flux_dn)
-    covariance = np.where(found.ok[:, None, None], found.covariance_px2, np.eye(2) * ROUGH_SD_PX**2)
+    covariance = np.where(found.ok[:, None, None], found.covariance_px2, ROUGH_COVARIANCE_PX2)
     order = np.argsort(-flux)
-    inside = (xy > -0.5).all(1) & (xy < np.array(shape[::-1]) - 0.5).all(1) & (flux > 0)
+    w, h = frame.image_size_px
+    inside = (xy > -0.5).all(1) & (xy < (w - 0.5, h - 0.5)).all(1) & (flux > 0)
     order = order[inside[order]]
-    gain = calmap.gain_dn_per_e if np.isfinite(calmap.gain_dn_per_e) else 1.0
-    return Spots(xy_px=xy[order], covariance_px2=covariance[order], flux_e=flux[order] / gain, background_dn=background[order],
+    gain = gain_dn_per_e if np.isfinite(gain_dn_per_e) else 1.0
+    return Spots(xy_px=xy[order], covariance_px2=covariance[order], flux_e=flux[order] / gain,
+                 background_dn=np.where(found.ok, found.background_dn, 0.0)[order],
                  peak_dn=candidates.peak_dn[order], pixels=candidates.pixels[order], flags=flags[order])
 
 
@@ -140,8 +140,9 @@ def _key(frame: Frame, data: np.ndarray) -> tuple:
 
 def _sampled(data: np.ndarray, thresholds: ThresholdMap) -> tuple[np.ndarray, float]:
     """How the frame lies about the threshold map: (its level above it in each cell, sigma; its noise over the map's)."""
-    level, square = drift(data, thresholds.expected_dn, thresholds.noise_dn, CELL_PX, DRIFT_ROWS)
-    return level, float(np.sqrt(square))
+    level, count, smooth = np.zeros((3, *thresholds.coarse_dn.shape))
+    square = drift(data, thresholds.expected_dn, thresholds.noise_dn, CELL_PX, DRIFT_ROWS, level, count, smooth)
+    return smooth, float(np.sqrt(square))
 
 
 def _still_valid(frame: Frame, data: np.ndarray, calmap: CalibrationMap,
@@ -164,7 +165,7 @@ def _look(frame: Frame, data: np.ndarray, calmap: CalibrationMap, false_alarms: 
     broken = ((layers.defects & UNUSABLE) != 0) | ~np.isfinite(corrected.signal_dn)
     sky, noise = background_and_noise(corrected.signal_dn, blind)
     signal = corrected.signal_dn - sky
-    response = np.float32(1) if layers.response is None else layers.response
+    response = layers.response
     # Raw value at which the corrected frame would show its background; the frame's own noise falls out of the difference.
     expected = np.where(broken, np.float32(np.nan), data - signal * response)
     law = NoiseLaw(step_dn=step_from_skewness(signal, noise, blind), whole_dn=data.dtype.kind == "u")

@@ -3,16 +3,10 @@
 import numpy as np
 import pytest
 
+from calibench.records import PsfMap
 from calibench.spots import kernels
 from calibench.spots.background import background_and_noise
-
-
-def test_windows_are_cut_as_numpy_pads():
-    image = np.arange(70, dtype=np.float32).reshape(7, 10)
-    centre = np.array([[0, 0], [9, 6], [4, 3], [-5, 2]])
-    padded = np.pad(image, 10, constant_values=-1)
-    wanted = [padded[y + 8:y + 13, x + 8:x + 13] for x, y in centre]
-    np.testing.assert_array_equal(kernels.cut(image, centre, 2, np.float32(-1)), wanted)
+from calibench.spots.psf import field_terms, moments_at
 
 
 def test_cells_are_the_clipped_statistics_of_numpy():
@@ -46,35 +40,43 @@ def test_cells_are_interpolated_and_continued_linearly():
     np.testing.assert_allclose(kernels.to_pixels(np.array([[7.0]]), 32, 10, 20), 7.0)
 
 
+def drift(data, expected, noise):
+    level, count, smooth = np.zeros((3, 5, 7))
+    return smooth, kernels.drift(data, expected, noise, 64, 16, level, count, smooth)
+
+
 def test_drift_sees_a_risen_sky_and_louder_noise():
     rng = np.random.default_rng(2)
     shape = (260, 390)
     expected, noise = np.full(shape, 40, np.float32), np.full(shape, 3, np.float32)
     expected[5:9, 5:9] = np.nan
     data = np.rint(rng.normal(40, 3, shape)).astype(np.uint16)
-    level, square = kernels.drift(data, expected, noise, 64, 16)
+    level, square = drift(data, expected, noise)
     assert np.abs(level).max() < 0.2 and square == pytest.approx(1.0, abs=0.03)
-    level, square = kernels.drift(np.rint(rng.normal(43, 3.6, shape)).astype(np.uint16), expected, noise, 64, 16)
+    level, square = drift(np.rint(rng.normal(43, 3.6, shape)).astype(np.uint16), expected, noise)
     assert np.median(level) == pytest.approx(0.95, abs=0.07) and square > 1.5
-
-
-def test_crowded_points():
-    rng = np.random.default_rng(3)
-    xy = rng.uniform(0, 60, (80, 2))
-    apart = np.linalg.norm(xy[:, None] - xy[None], axis=-1) + 99 * np.eye(80)
-    np.testing.assert_array_equal(kernels.crowded(xy, 4.0), apart.min(1) < 4.0)
 
 
 def test_pixels_nearer_to_another_spot():
     rng = np.random.default_rng(5)
     xy = rng.uniform(10, 30, (12, 2))
     corner = np.rint(xy).astype(int) - 3
-    found = kernels.nearer_to_another(xy, corner, 7)
+    found = np.zeros((12, 7, 7), bool)
+    kernels.lose_others(xy, corner, found)
     for n in range(12):
         for j in range(7):
             for i in range(7):
                 distance = np.linalg.norm(xy - corner[n] - (i, j), axis=1)
                 assert found[n, j, i] == (distance.argmin() != n)
+
+
+def test_moments_are_the_polynomials_of_the_field():
+    rng = np.random.default_rng(6)
+    coefficients, xy = rng.normal(0, 0.05, (3, 10)), rng.uniform(0, 99, (20, 2))
+    coefficients[:2, 0] += 0.8
+    psf = PsfMap(model="gaussian", degree=3, coefficients=coefficients, image_size_px=(100, 80), centre="",
+                 measured_xy_px=np.zeros((0, 2)), residual_rms_px2=0.0)
+    np.testing.assert_allclose(moments_at(psf, xy), field_terms(xy, (100, 80), 3) @ coefficients.T, rtol=1e-12)
 
 
 def test_a_vignetted_corner_keeps_its_level():

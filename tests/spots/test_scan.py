@@ -8,6 +8,7 @@ from calibench.spots.background import background_and_noise
 from calibench.spots.detect import kernels
 from calibench.spots.detect.scan import candidates_on
 from calibench.spots.false_alarms import NoiseLaw, k_for_false_alarms, step_from_skewness
+from calibench.spots.room import Room
 from calibench.spots.threshold_map import threshold_map
 
 
@@ -51,8 +52,11 @@ def test_the_scan_is_its_plain_form(masked):
     if masked:
         expected[rng.random(data.shape) < 0.02] = np.nan
     thresholds = threshold_map(expected, np.full(data.shape, np.sqrt(109.0)), np.uint16)
-    rows, columns, scores = kernels.scan(data, thresholds.seed_dn, thresholds.blocked, thresholds.expected_dn,
-                                         thresholds.noise_dn, thresholds.coarse_dn, thresholds.no_drift, 4.0, 5000)
+    room = Room(data.shape)
+    count = kernels.scan(data, thresholds.seed_dn, thresholds.lowest_dn, thresholds.blocked, thresholds.expected_dn,
+                         thresholds.noise_dn, thresholds.coarse_dn, thresholds.no_drift, 4.0, room.above, room.eight,
+                         room.waiting, room.peaks)
+    rows, columns, scores = room.peaks[:count].T
     wanted = plain_scan(data, thresholds, 4.0)
     assert len(wanted) > 30
     assert set(zip(rows.tolist(), columns.tolist(), strict=True)) == set(wanted)

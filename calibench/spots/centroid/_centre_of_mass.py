@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..candidates import Candidates
-from ..kernels import cut
+from ..cut import cut
 from ..scene import Centroids, Scene
 
 

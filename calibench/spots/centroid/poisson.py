@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..candidates import Candidates
+from ..cut import cut
 from ..fit.known_shape import LOST_CORE_ERROR, fit_windows, window_radius
 from ..frame_shape import GUESSED_SHAPE_ERROR, shape_from_frame
-from ..kernels import cut, nearer_to_another
+from ..kernels import lose_others
 from ..psf import moments_at
 from ..scene import Centroids, Scene
 
@@ -27,6 +28,6 @@ def centroid(scene: Scene, candidates: Candidates) -> Centroids:
     lost = cut(scene.unusable, centre, radius, True)
     core_lost = lost[:, radius - 1:radius + 2, radius - 1:radius + 2].any((1, 2))
     error = np.maximum(core_lost * LOST_CORE_ERROR, 0.0 if scene.psf_known else GUESSED_SHAPE_ERROR)
-    lost |= nearer_to_another(np.ascontiguousarray(candidates.xy_px, float), centre - radius, signal.shape[1])
+    lose_others(np.ascontiguousarray(candidates.xy_px, float), centre - radius, lost)
     return fit_windows(np.where(lost, np.float32(np.nan), signal), floor, centre - radius, candidates.xy_px, moments,
                        gain_dn_per_e=scene.gain_dn_per_e, model_error=error)

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..candidates import Candidates
+from ..cut import cut
 from ..fit.known_shape import window_radius
 from ..frame_shape import shape_from_frame
-from ..kernels import cut
 from ..psf import moments_at
 from ..scene import Centroids, Scene
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from math import sqrt
 
-import numpy as np
-
 from ...kernels import compiled
+from ..kernels import LONG
 
 # A Gaussian of 0.85 px over 3x3 pixels: within 15 % of the best signal-to-noise for stars of 0.4 to 1.5 px.
 SIDE = 0.5006
@@ -14,10 +13,11 @@ CORNER = SIDE**2
 WEIGHT_SUM, WEIGHT_NORM = (1 + 2 * SIDE) ** 2, 1 + 2 * SIDE**2
 SEED_SIGMA = 3.0  # a spot's brightest pixel is above this
 SHARPEST = 0.85  # of the light of 3x3 pixels in one: a hot pixel or a particle, sharper than the optics of any star camera
+ROWS_TOGETHER = 16  # whose thresholds a first look takes together
 CELL_PX = 64  # in which the sky's drift since the threshold map was made is followed
 GROW_SIGMA = 2.5  # a spot's pixels: connected to its peak and above this
 CONTRAST_SIGMA, CONTRAST = 5.0, 0.1  # a second peak stands out of the saddle by this many sigma, and this part of itself
-TRAIL_ELONGATION, TRAIL_CONTRAST = 3.0, 0.5  # in light as long as this a trail's noise makes peaks: this part of itself then
+TRAIL_CONTRAST = 0.5  # in light as long as a trail's noise makes peaks: this part of itself then
 LEAST_TO_JUDGE = 6  # fewer pixels tell no elongation
 COLUMNS = 11  # of what grow gives
 
@@ -65,46 +65,44 @@ def _promising(data, seed, blocked, sigma, y, x, least):
 
 
 @compiled
-def scan(data, seed, blocked, expected, noise, coarse, level, least, most):
+def scan(data, seed, lowest, blocked, expected, noise, coarse, level, least, above, eight, waiting, peaks):
     """Peaks of a frame: pixels above their seed threshold, the highest of their 3x3, where the matched filter gives
     more than `least` sigma and the light is not all in one pixel.
 
-    data, seed: (H, W) of one type; seed is expected + SEED_SIGMA * noise, or `blocked` where a pixel is not used. expected,
-    noise: (H, W) float32, expected NaN where a pixel is not used. coarse, level: cells
-    of CELL_PX: the noise in DN, and the sky's drift since in sigma.
+    data, seed: (H, W) of one type; seed is expected + SEED_SIGMA * noise, or `blocked` where a pixel is not used. lowest:
+    (H / ROWS_TOGETHER, W), the least seed of each column's pixels of ROWS_TOGETHER rows: it stays in the cache, so that the
+    frame alone is read from memory. expected, noise: (H, W) float32, expected NaN where a pixel is not used. coarse, level:
+    cells of CELL_PX: the noise in DN, and the sky's drift since in sigma. Room to work in: above (W or more, a multiple of 64)
+    bool, all False from W on; eight: the same as uint64; waiting (2, W) int64.
 
     Returns:
-        rows and columns (N,) int64, scores (N,), in reading order, N at most `most`.
+        number N of peaks; peaks (most, 3): rows, columns, scores, filled in reading order.
     """
     h, w = data.shape
-    rows, columns, scores = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
-    above = np.zeros((w + 63) // 64 * 64, np.bool_)
-    eight = above.view(np.uint64)
-    waiting, ready = np.empty(w, np.int64), np.empty(w, np.int64)
     waits = count = 0
     for y in range(h):
-        row, threshold = data[y], seed[y]
+        row, threshold = data[y], lowest[y // ROWS_TOGETHER]
         for x in range(w):  # this loop alone touches every pixel; it compiles to vector compares
             above[x] = row[x] > threshold[x]
-        waiting, ready = ready, waiting
-        is_ready, waits = waits, 0
+        now, before = y % 2, 1 - y % 2
+        ready, waits = waits, 0
         for k in range(0, len(eight), 8):
             if (eight[k] | eight[k + 1] | eight[k + 2] | eight[k + 3]
                     | eight[k + 4] | eight[k + 5] | eight[k + 6] | eight[k + 7]):
                 for m in range(k, k + 8):
                     if eight[m]:
                         for x in range(max(8 * m, 1), min(8 * m + 8, w - 1)):
-                            if above[x]:
-                                waiting[waits] = x
+                            if above[x] and row[x] > seed[y, x]:
+                                waiting[now, waits] = x
                                 waits += 1
-        for n in range(is_ready if y > 1 else 0):  # of the row before: its neighbours are in the cache by now
-            x = ready[n]
+        for n in range(ready if y > 1 else 0):  # of the row before: its neighbours are in the cache by now
+            x = waiting[before, n]
             if _promising(data, seed, blocked, coarse[(y - 1) // CELL_PX, x // CELL_PX], y - 1, x, least):
                 score, sharpness = score_at(data, expected, noise, level, y - 1, x)
-                if score > least and sharpness < SHARPEST and count < most:
-                    rows[count], columns[count], scores[count] = y - 1, x, score
+                if score > least and sharpness < SHARPEST and count < len(peaks):
+                    peaks[count, 0], peaks[count, 1], peaks[count, 2] = y - 1, x, score
                     count += 1
-    return rows[:count].copy(), columns[:count].copy(), scores[:count].copy()
+    return count
 
 
 @compiled
@@ -184,24 +182,22 @@ def _shape(data, expected, noise, level, stack, count, y, x, row):
 
 
 @compiled
-def grow(data, expected, noise, level, rows, columns, scores, gain, largest, labels, lowest):
-    """Spots around peaks given brightest first. labels: (H, W) int32 to work in, all below `lowest`; afterwards below
-    lowest + N.
+def grow(data, expected, noise, level, peaks, gain, labels, lowest, stack, owner, elongation, out):
+    """Spots around peaks (N, 3), rows, columns, scores, brightest first. Room to work in: labels (H, W) int32, all below
+    `lowest`, afterwards below lowest + N; stack int64, 16 longer than the largest number of pixels of connected light; owner
+    int64 and elongation (N,).
 
     Returns:
-        (N, COLUMNS): x, y, peak DN, flux DN, pixels, elongation, peak x, peak y, score, blend (1 or 0), row of the first spot
-        of the same connected light. A further peak within the light of a brighter one is a spot of its own where a saddle
-        separates them, both marked as blend; else it is that one's wing. Connected light of more than `largest` pixels is
-        no star and is left out.
+        number of spots; out (N, COLUMNS), filled: x, y, peak DN, flux DN, pixels, elongation, peak x, peak y, score, blend
+        (1 or 0), row of the first spot of the same connected light. A further peak within the light of a brighter one is a spot
+        of its own where a saddle separates them, both marked as blend; else it is that one's wing. Connected light of more
+        pixels than the largest is no star and is left out.
     """
-    h, w = data.shape
-    stack = np.empty(largest + 16, np.int64)
-    out = np.zeros((len(rows), COLUMNS))
-    owner = np.zeros(len(rows), np.int64)  # of a label: its first spot, -1 where it is no star
-    elongation = np.zeros(len(rows))  # of the whole light, where two spots share it as well
     count = labelled = 0
-    for n in range(len(rows)):
-        y, x = rows[n], columns[n]
+    largest = len(stack) - 16
+    # owner: of a label, its first spot, -1 where it is no star; elongation: of the whole light, where two share it as well
+    for n in range(len(peaks)):
+        y, x, score = int(peaks[n, 0]), int(peaks[n, 1]), peaks[n, 2]
         if labels[y, x] < lowest:
             size = _flood(data, expected, noise, level, labels, lowest, owner, lowest + labelled, y, x, stack, largest)
             owner[labelled] = count if size <= largest else -1
@@ -210,16 +206,16 @@ def grow(data, expected, noise, level, rows, columns, scores, gain, largest, lab
                 continue
             _shape(data, expected, noise, level, stack, size, y, x, out[count])
             elongation[count] = out[count, 5]
-            out[count, 6], out[count, 7], out[count, 8], out[count, 10] = x, y, scores[n], count
+            out[count, 6], out[count, 7], out[count, 8], out[count, 10] = x, y, score, count
             count += 1
             continue
         first = owner[labels[y, x] - lowest]
         if first < 0:
             continue
-        alone, contrast = True, TRAIL_CONTRAST if elongation[first] > TRAIL_ELONGATION else CONTRAST
+        alone, contrast = True, TRAIL_CONTRAST if elongation[first] > LONG else CONTRAST
         for k in range(first, count):
             if out[k, 10] == first and alone:
-                alone = _stands_out(data, expected, noise, level, y, x, scores[n], int(out[k, 7]), int(out[k, 6]), gain,
+                alone = _stands_out(data, expected, noise, level, y, x, score, int(out[k, 7]), int(out[k, 6]), gain,
                                      contrast)
         if alone:
             near = _near(labels, y, x, stack)
@@ -228,8 +224,8 @@ def grow(data, expected, noise, level, rows, columns, scores, gain, largest, lab
                 j, i = int(out[first, 7]), int(out[first, 6])
                 near = _near(labels, j, i, stack)
                 _shape(data, expected, noise, level, stack, near, j, i, out[first])
-            out[count, 6], out[count, 7], out[count, 8], out[count, 10] = x, y, scores[n], first
+            out[count, 6], out[count, 7], out[count, 8], out[count, 10] = x, y, score, first
             out[count, 5] = out[first, 5] = 1.0
             out[count, 9] = out[first, 9] = 1.0
             count += 1
-    return out[:count].copy()
+    return count

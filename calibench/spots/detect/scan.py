@@ -14,11 +14,9 @@ import numpy as np
 
 from ..candidates import Candidates
 from ..false_alarms import NoiseLaw, k_for_false_alarms
+from ..room import Room
 from ..threshold_map import ThresholdMap, threshold_map
 from . import kernels
-
-LARGEST_FRACTION, LARGEST_AT_LEAST = 2e-3, 1000  # of the frame's area, pixels; beyond: a roof, a moon, a cloud
-MOST_PEAKS = 20_000  # the first of the frame; it is full of something else than stars
 
 
 def threshold(noise_dn: np.ndarray, unusable: np.ndarray, false_alarms: float, law: NoiseLaw) -> float:
@@ -37,21 +35,22 @@ def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, k_
 
 
 def candidates_on(data: np.ndarray, thresholds: ThresholdMap, k_sigma: float, *, drift: np.ndarray | None = None,
-                  gain_dn_per_e: float = 0.0, labels: np.ndarray | None = None, lowest: int = 1) -> Candidates:
+                  gain_dn_per_e: float = 0.0, room: Room | None = None) -> Candidates:
     """Spots of a frame (H, W) of the threshold map's type, brightest first.
 
     drift: the sky's change since the map was made, per cell, in sigma. gain_dn_per_e: for the shot noise of a saddle.
-    labels, lowest: (H, W) int32 to work in, all below `lowest` (of a series, to save the making); afterwards below lowest
-    + MOST_PEAKS.
+    room: of a series, to save the making.
     """
+    room = Room(data.shape) if room is None else room
     scene = (data, thresholds.expected_dn, thresholds.noise_dn, thresholds.no_drift if drift is None else drift)
-    rows, columns, scores = kernels.scan(data, thresholds.seed_dn, thresholds.blocked, *scene[1:3], thresholds.coarse_dn,
-                                         scene[3], float(k_sigma), MOST_PEAKS)
-    if len(rows) == 0:
+    count = kernels.scan(data, thresholds.seed_dn, thresholds.lowest_dn, thresholds.blocked, *scene[1:3],
+                         thresholds.coarse_dn, scene[3], float(k_sigma), room.above, room.eight, room.waiting, room.peaks)
+    if count == 0:
         return Candidates.none()
-    order = np.argsort(-scores, kind="stable")
-    labels = np.zeros(data.shape, np.int32) if labels is None else labels
-    largest = max(int(LARGEST_FRACTION * data.size), LARGEST_AT_LEAST)
-    found = kernels.grow(*scene, rows[order], columns[order], scores[order], float(gain_dn_per_e), largest, labels, lowest)
-    return Candidates(xy_px=found[:, :2], peak_xy=found[:, 6:8].astype(int), peak_dn=found[:, 2], flux_dn=found[:, 3],
-                      pixels=found[:, 4].astype(int), elongation=found[:, 5], blend=found[:, 9] > 0)
+    peaks = room.peaks[np.argsort(-room.peaks[:count, 2], kind="stable")]
+    found = np.zeros((count, kernels.COLUMNS))
+    count = kernels.grow(*scene, peaks, float(gain_dn_per_e), room.labels, room.clear(), room.stack,
+                         np.zeros(count, np.int64), np.zeros(count), found)
+    found = found[:count]
+    return Candidates(xy_px=found[:, :2].copy(), peak_xy=found[:, 6:8].astype(np.int64), peak_dn=found[:, 2],
+                      flux_dn=found[:, 3], pixels=found[:, 4].astype(int), elongation=found[:, 5], blend=found[:, 9] > 0)

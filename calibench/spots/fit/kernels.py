@@ -5,7 +5,6 @@ from __future__ import annotations
 from math import erf, exp, pi, sqrt
 
 import numba
-import numpy as np
 
 from ...kernels import compiled
 
@@ -18,6 +17,7 @@ NEGLIGIBLE = 0.2  # of the error bar times the width: leaves about a tenth of th
 FAINTEST_DN = 1e-3
 SERIES_PRECISION = 1e-3
 LARGEST_ORDER = 8
+MISFIT_SIGMA = 3.0
 
 
 @fast
@@ -103,7 +103,7 @@ def _normal(data, usable, floor, light, by_x, by_y, flux, background, gain, mode
 
 
 @compiled
-def fit_known_shape(signal, floor, start_xy, moments, gain, model_error):
+def fit_known_shape(signal, floor, start_xy, moments, gain, model_error, profiles, pixels, small, out):
     """Gauss-Newton fit of position, flux and background, weights 1/variance with the variance from the model (Poisson).
 
     signal, floor: (N, n, n) float32, DN and DN^2 (variance of a pixel without the spot's own light); signal NaN has no
@@ -113,17 +113,17 @@ def fit_known_shape(signal, floor, start_xy, moments, gain, model_error):
 
     A tilted Gaussian is Mehler's series in its correlation, each term a product of two pixel integrals.
 
-    Returns:
-        (N, 10): x, y, flux, background, variances xx, xy, yy of the position, variance of the flux, chi^2 per degree of
-        freedom, converged (1 or 0).
+    A misfit is believed, and the covariance scaled up by it, where chi^2 per degree of freedom is beyond its expectation by
+    MISFIT_SIGMA: noise alone must not widen the error bars.
+
+    Room to work in: profiles (2, LARGEST_ORDER + 2, n), pixels (6, n * n), small (4, 4, 5).
+
+    Fills out (N, 9): x, y, flux, background, covariance xx, xy, xy, yy of the position, converged (1 or 0).
     """
     count, side = signal.shape[0], signal.shape[1]
-    out = np.zeros((count, 10))
-    across, down = np.zeros((LARGEST_ORDER + 2, side)), np.zeros((LARGEST_ORDER + 2, side))
-    light, by_x, by_y = np.zeros(side * side), np.zeros(side * side), np.zeros(side * side)
-    data, usable, floor_s = np.zeros(side * side), np.zeros(side * side), np.ones(side * side)
-    normal, right, move = np.zeros((4, 4)), np.zeros(4), np.zeros(4)
-    low, inverse = np.zeros((4, 5)), np.zeros((4, 4))
+    across, down = profiles[0], profiles[1]
+    light, by_x, by_y, data, usable, floor_s = pixels[0], pixels[1], pixels[2], pixels[3], pixels[4], pixels[5]
+    normal, low, inverse, right, move = small[0], small[1], small[2], small[3, 0], small[3, 1]
     for s in range(count):
         for j in range(side):
             for i in range(side):
@@ -177,6 +177,11 @@ def fit_known_shape(signal, floor, start_xy, moments, gain, model_error):
                 solved = True
                 break
         near = max(abs(x - start_xy[s, 0]), abs(y - start_xy[s, 1])) < side / 2
-        out[s] = (x, y, flux, background, normal[0, 0], normal[0, 1], normal[1, 1], normal[2, 2],
-                  (chi2 - gained) / max(used - 4.0, 1.0), 1.0 if solved and near and flux > FAINTEST_DN else 0.0)
-    return out
+        free = max(used - 4.0, 1.0)
+        chi2 = (chi2 - gained) / free
+        wider = chi2 if chi2 > 1 + MISFIT_SIGMA * sqrt(2 / free) else 1.0
+        out[s, 0], out[s, 1], out[s, 2], out[s, 3] = x, y, flux, background
+        out[s, 4], out[s, 5], out[s, 6], out[s, 7] = normal[0, 0], normal[0, 1], normal[0, 1], normal[1, 1]
+        for k in range(4, 8):
+            out[s, k] *= wider
+        out[s, 8] = 1.0 if solved and near and flux > FAINTEST_DN else 0.0

@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..scene import Centroids
-from .kernels import fit_known_shape
+from .kernels import LARGEST_ORDER, fit_known_shape
 
 SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX = 2, 8
-# A misfit is believed, and the covariance scaled up by it, where chi^2 is beyond its expectation by this many sigma: noise
-# alone must not widen the error bars.
-MISFIT_SIGMA = 3.0
 LOST_CORE_ERROR = 0.1  # relative: how well the wings of a PSF are known, which alone are left of a saturated spot
 
 
@@ -30,14 +27,13 @@ def fit_windows(signal_dn: np.ndarray, floor_variance_dn2: np.ndarray, corner_xy
         moments_px2: (N, 3), s_xx s_yy s_xy before the pixel integrates. gain_dn_per_e: NaN leaves the spot's shot noise out.
         model_error: relative misfit of the shape (0: believed to the photon).
     """
-    n = len(signal_dn)
-    error = np.broadcast_to(np.asarray(model_error, float), n).copy()
+    n, side = len(signal_dn), signal_dn.shape[-1]
     gain = float(gain_dn_per_e) if np.isfinite(gain_dn_per_e) else 0.0
-    found = fit_known_shape(np.ascontiguousarray(signal_dn, np.float32), np.ascontiguousarray(floor_variance_dn2, np.float32),
-                            np.ascontiguousarray(start_xy_px - corner_xy, float), np.ascontiguousarray(moments_px2, float),
-                            gain, error)
-    freedom = np.maximum(np.isfinite(signal_dn).sum((1, 2)) - 4, 1)
-    misfit = np.where(found[:, 8] > 1 + MISFIT_SIGMA * np.sqrt(2 / freedom), found[:, 8], 1.0)
-    covariance = found[:, [4, 5, 5, 6]].reshape(n, 2, 2) * misfit[:, None, None]
-    return Centroids(xy_px=found[:, :2] + corner_xy, covariance_px2=covariance, flux_dn=found[:, 2], background_dn=found[:, 3],
-                     ok=found[:, 9] > 0)
+    error = np.empty(n)
+    error[:] = model_error
+    found = np.empty((n, 9))
+    fit_known_shape(np.ascontiguousarray(signal_dn, np.float32), np.ascontiguousarray(floor_variance_dn2, np.float32),
+                    np.ascontiguousarray(start_xy_px - corner_xy, float), np.ascontiguousarray(moments_px2, float), gain, error,
+                    np.empty((2, LARGEST_ORDER + 2, side)), np.empty((6, side * side)), np.zeros((4, 4, 5)), found)
+    return Centroids(xy_px=found[:, :2] + corner_xy, covariance_px2=found[:, 4:8].reshape(n, 2, 2), flux_dn=found[:, 2],
+                     background_dn=found[:, 3], ok=found[:, 8] > 0)
