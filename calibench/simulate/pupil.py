@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import fft2, fftfreq, ifft2, next_fast_len
 from scipy.special import j1
 
 PERIOD_PX = 40.0  # the Fourier sum repeats after so many pixels: the far wings of the next copy are below 1e-5 of the peak
@@ -68,14 +69,16 @@ def _transfer(pupil: Pupil, field: float, outward: np.ndarray, pinhole_px: float
     waves = ((pupil.defocus_waves + pupil.curvature_waves * field**2) * np.sqrt(3) * (2 * rho2 - 1)
              + pupil.astigmatism_waves * field**2 * np.sqrt(6) * (2 * radial**2 - rho2)
              + pupil.coma_waves * field * np.sqrt(8) * 3 * rho2 * radial)
-    size = 4 * half + 2  # twice the pupil: the autocorrelation does not wrap around
-    amplitude = np.where(rho2 <= 1, np.exp(2j * np.pi * waves), 0)
-    power = np.abs(np.fft.fft2(amplitude, (size, size))) ** 2
-    correlation = np.fft.fftshift(np.fft.ifft2(power))
-    frequency = np.arange(-size // 2, size // 2) / PERIOD_PX
-    fx, fy = np.meshgrid(frequency, frequency)
-    rest = np.sinc(fx) * np.sinc(fy) * np.exp(-2 * (np.pi * pupil.diffusion_sigma_px) ** 2 * (fx**2 + fy**2))
+    size = 2 * next_fast_len(2 * half + 1)  # twice the pupil: the autocorrelation does not wrap around
+    inside = rho2 <= 1
+    amplitude = np.zeros(rho2.shape, complex)
+    amplitude[inside] = np.exp(2j * np.pi * waves[inside])
+    power = np.abs(fft2(amplitude, (size, size))) ** 2
+    correlation = ifft2(power)
+    frequency = fftfreq(size, 1 / size) / PERIOD_PX
+    along = np.sinc(frequency) * np.exp(-2 * (np.pi * pupil.diffusion_sigma_px * frequency) ** 2)
+    rest = np.outer(along, along)
     if pinhole_px > 0:
-        across = np.maximum(np.pi * pinhole_px * np.hypot(fx, fy), 1e-9)
+        across = np.maximum(np.pi * pinhole_px * np.hypot(frequency, frequency[:, None]), 1e-9)
         rest = rest * 2 * j1(across) / across
-    return frequency, correlation / correlation[size // 2, size // 2].real * rest
+    return frequency, correlation / correlation[0, 0].real * rest
