@@ -18,6 +18,8 @@ Centroid = Annotated[str, typer.Option(help="Centroid method.")]
 KSigma = Annotated[float | None, typer.Option(help="Detection threshold in sigma, in place of --false-alarms.", min=1.0)]
 FalseAlarms = Annotated[float, typer.Option(help="False spots a frame that noise may give.", min=1e-6)]
 
+HEADER = ("file", "status", "ra deg", "dec deg", "roll deg", "fov deg", "matched", "rms px", "cross \"", "roll \"", "odds")
+
 
 def solve(frames: Frames, map_: Map = None,
           fov_deg: Annotated[float | None, typer.Option(help="Horizontal field, degrees, to 10 %; without a map.",
@@ -54,22 +56,24 @@ def solve(frames: Frames, map_: Map = None,
                    station=read_station(station) if station else None), []
     with progress() as tell:
         named = frozenset(path for path in paths if path in frames)
-        stars = sky.table
+        stars, width = sky.table, max(len(path.name) for path in paths)
+        if not json_:
+            print(_line(HEADER, width))
         for i, solved in enumerate(solve_files(paths, sky, calmap, fov_rad=math.radians(fov_deg) if fov_deg else None,
                                                settings=settings, named=named, solve=Track(sky).solve if track else None)):
             tell("solve", i + 1, len(paths))
             solutions.append(solved.solution)
             out.append(solved_json(solved, calmap, (stars.hip, stars.hp_mag)))
+            if not json_:
+                _print_frame(out[-1], width)
     errors = series_errors_json(split(solutions))
     if csv:
         write_csv(csv, out, CSV_COLUMNS)
     if json_:
         print_json({"frames": out, "map": str(map_) if map_ else None, "identify": identify, "attitude": attitude,
                     "errors": errors})
-    else:
-        _print_frames(out)
-        if errors["frames"] > 1:
-            _print_errors(errors)
+    elif errors["frames"] > 1:
+        _print_errors(errors)
     raise typer.Exit(0 if all(frame["status"] == "solved" for frame in out) else 1)
 
 
@@ -91,16 +95,21 @@ def _check_scale(identify: str, scale_known: bool) -> None:
                          mend="give a map with intrinsics (--map), or about the field (--fov-deg), or --identify pattern")
 
 
-def _print_frames(frames: list[dict]) -> None:
-    rows = [(Path(f["file"]).name, f["status"], number(f["ra_deg"], 8), number(f["dec_deg"], 7), number(f["roll_deg"], 7),
-             number(f["fov_deg"], 5), f"{f['matches']}/{f['spots']}", number(f["residual_rms_px"], 3),
-             number(f["sigma_cross_arcsec"], 3), number(f["sigma_roll_arcsec"], 3), number(f["false_match_probability"], 1))
-            for f in frames]
-    print(table(("file", "status", "ra deg", "dec deg", "roll deg", "fov deg", "matched", "rms px", "cross \"", "roll \"",
-                 "odds"), rows))
-    for frame in frames:
-        for note in ([frame["reason"]] if frame["reason"] else []) + frame["warnings"]:
-            say(f"{Path(frame['file']).name}: {note}")
+def _line(parts: tuple[str, ...], width: int) -> str:
+    """A frame's line, in columns that are known before the first frame is solved; width: of the longest file name."""
+    name, status, *figures = parts
+    return f"{name:{width}}  {status:13}" + "".join(f"  {figure:>9}" for figure in figures)
+
+
+def _print_frame(f: dict, width: int) -> None:
+    """One frame, as soon as it is solved."""
+    name = Path(f["file"]).name
+    print(_line((name, f["status"], number(f["ra_deg"], 8), number(f["dec_deg"], 7), number(f["roll_deg"], 7),
+                 number(f["fov_deg"], 5), f"{f['matches']}/{f['spots']}", number(f["residual_rms_px"], 3),
+                 number(f["sigma_cross_arcsec"], 3), number(f["sigma_roll_arcsec"], 3),
+                 number(f["false_match_probability"], 1)), width), flush=True)
+    for note in ([f["reason"]] if f["reason"] else []) + f["warnings"]:
+        say(f"{name}: {note}")
 
 
 def _print_errors(errors: dict) -> None:

@@ -116,8 +116,8 @@ def bend_rational(k, x, y):
 def unproject(camera, k, fisheye, fold, xy):
     """Raw pixels (N, 2) -> unit directions (N, 3) in camera axes; NaN where there is none.
 
-    camera (6,): fx, fy, cx, cy, -1 for a mirrored camera, else 1, and skew. k (12,): terms in OpenCV's order, zero where a model
-    lacks them (a fisheye has four). fold: radius (fisheye: angle) up to which the lens does not fold.
+    camera (6,): fx, fy, cx, cy, -1 for a mirrored camera, else 1, and skew. k (12,): terms in OpenCV's order, zero where a
+    model lacks them (a fisheye has four). fold: radius (fisheye: angle) up to which the lens does not fold.
     """
     out = np.empty((len(xy), 3))
     for i in range(len(xy)):

@@ -6,6 +6,8 @@ conjugate of this one; it is converted once, where it is made (stars/attitude).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 
@@ -23,16 +25,15 @@ def quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
 
     The largest of the four components is computed first (Shepperd 1978), so no rotation loses digits.
     """
-    m = np.asarray(matrix, float)
-    t = np.trace(m)
-    squares = np.array([1 + 2 * m[0, 0] - t, 1 + 2 * m[1, 1] - t, 1 + 2 * m[2, 2] - t, 1 + t])  # 4 q_i^2
-    i = int(np.argmax(squares))
-    x_w, y_w, z_w = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    x_y, x_z, y_z = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
-    q = np.array([[squares[0], x_y, x_z, x_w], [x_y, squares[1], y_z, y_w],
-                  [x_z, y_z, squares[2], z_w], [x_w, y_w, z_w, squares[3]]][i])
-    q /= np.linalg.norm(q)
-    return -q if q[3] < 0 else q
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.asarray(matrix, float).tolist()  # floats: numpy costs more than it does here
+    t = xx + yy + zz
+    squares = (1 + 2 * xx - t, 1 + 2 * yy - t, 1 + 2 * zz - t, 1 + t)  # 4 q_i^2
+    i = squares.index(max(squares))
+    x_w, y_w, z_w, x_y, x_z, y_z = zy - yz, xz - zx, yx - xy, xy + yx, xz + zx, yz + zy
+    row = ((squares[0], x_y, x_z, x_w), (x_y, squares[1], y_z, y_w), (x_z, y_z, squares[2], z_w),
+           (x_w, y_w, z_w, squares[3]))[i]
+    length = math.copysign(math.hypot(*row), row[3])
+    return np.array(row) / length
 
 
 def skew(v: np.ndarray) -> np.ndarray:
@@ -57,8 +58,8 @@ def matrix_from_rotvec(rotvec: np.ndarray) -> np.ndarray:
 def rotvec_from_matrix(matrix: np.ndarray) -> np.ndarray:
     """(3, 3) rotation -> (3,) rotation vector, rad, angle in [0, pi]."""
     q = quaternion_from_matrix(matrix)
-    sine = np.linalg.norm(q[:3])
-    angle = 2 * np.arctan2(sine, q[3])
+    sine = math.hypot(*q[:3].tolist())
+    angle = 2 * math.atan2(sine, q[3])
     return q[:3] * (angle / sine if sine > 1e-12 else 2.0)
 
 

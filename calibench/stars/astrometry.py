@@ -19,12 +19,12 @@ from ..records import Identification, Observer, Rolling
 from .sky_catalogue import SkyCatalogue
 
 
-def as_observed(found: Identification, sky: SkyCatalogue, observer: Observer, *, file: str = "") -> Identification:
-    """The identification, of that file, with `direction_icrs` as this observer saw the stars."""
+def as_observed(found: Identification, sky: SkyCatalogue, observer: Observer) -> Identification:
+    """The identification with `direction_icrs` as this observer saw the stars."""
     directions = sky.seen_at(found.star_rows, observer)
     if observer.rolling is not None and observer.rolling.rate_rad_s.any():
         directions = _at_the_time_tag(found, directions, observer.rolling)
-    return replace(found, direction_icrs=directions, file=file)
+    return replace(found, direction_icrs=directions)
 
 
 def _at_the_time_tag(found: Identification, directions: np.ndarray, rolling: Rolling) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 1. Spots: background, detection, centroids with covariance.                       (spots)
 2. Identification, lost in space, with the map's lens, a given field, or neither.  (lost_in_space)
+   The pull of a star's neighbours joins its spot's covariance.                    (crowding)
 3. Attitude by the named method without outliers, its covariance and residuals.    (frame_attitude)
 4. Where the image's centre looks, with aberration and refraction taken off.       (geometry)
 """
@@ -18,6 +19,7 @@ from ..geometry import projection, rotation, sphere
 from ..records import Attitude, CalibrationMap, CorrectedFrame, Frame, Identification, Intrinsics, Observer, PsfMap, Spots
 from ..spots.find import FALSE_ALARMS, find_spots
 from .astrometry import as_observed
+from .crowding import with_crowding
 from .find_stars import FindState, find_stars
 from .frame_attitude import attitude_without_outliers, spot_weights
 from .lens_error import systematic
@@ -132,7 +134,8 @@ class Solver:
         clock.append(perf_counter())
         observer = observer or self.finder.sky.observer
         if found.status == "solved":
-            found = as_observed(found, self.finder.sky, observer, file=file)
+            found = replace(as_observed(found, self.finder.sky, observer), file=file,
+                            covariance_px2=with_crowding(found, self.finder, lens.psf))
             found, attitude = attitude_without_outliers(found, self.attitude_method, calibrated=calibrated)
             if not calibrated:
                 self.familiar[size] = found.intrinsics

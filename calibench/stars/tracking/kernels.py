@@ -26,12 +26,14 @@ def predict(directions, matrix, camera, terms, fold, width, height, edge, most):
         if x * x + y * y >= fold * fold:
             continue
         xd, yd, xx, xy_, yx, yy = bend_rational(terms, x, y)
-        px, py = camera[0] * xd + camera[2], camera[1] * yd + camera[3]
+        px, py = camera[0] * xd + camera[5] * yd + camera[2], camera[1] * yd + camera[3]
         if px <= edge or py <= edge or px >= width - 1 - edge or py >= height - 1 - edge:
             continue
         rows[count], xy[count, 0], xy[count, 1] = n, px, py
         for r in range(2):
-            of_x, of_y = (camera[0] * xx, camera[0] * xy_) if r == 0 else (camera[1] * yx, camera[1] * yy)
+            of_x, of_y = camera[1] * yx, camera[1] * yy
+            if r == 0:
+                of_x, of_y = camera[0] * xx + camera[5] * yx, camera[0] * xy_ + camera[5] * yy
             by_v[count, r, 0], by_v[count, r, 1] = camera[4] * of_x / u[2], of_y / u[2]
             by_v[count, r, 2] = -(of_x * x + of_y * y) / u[2]
         count += 1

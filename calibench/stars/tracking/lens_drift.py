@@ -34,12 +34,15 @@ class LensDrift:
 
     def applied_to(self, lens: Intrinsics) -> Intrinsics:
         """The lens as it is now. What is not significant is not applied: it would only add its noise to every attitude."""
-        scale, cx, cy = self._applied().tolist()
+        applied = self._applied()
+        if not applied.any():
+            return lens
+        scale, cx, cy = applied.tolist()
         return replace(lens, fx_px=lens.fx_px * (1 + scale), fy_px=lens.fy_px * (1 + scale), cx_px=lens.cx_px + cx,
                        cy_px=lens.cy_px + cy)
 
     def _applied(self) -> np.ndarray:
-        return np.where(np.abs(self.state) > SIGNIFICANT * np.sqrt(np.diag(self.covariance)), self.state, 0.0)
+        return np.where(self.state**2 > SIGNIFICANT**2 * np.diagonal(self.covariance), self.state, 0.0)
 
     def after(self, information: np.ndarray, gradient: np.ndarray) -> LensDrift:
         """The drift after one more frame: its normal matrix (3, 3) and gradient (3,) about the lens as applied, rotation

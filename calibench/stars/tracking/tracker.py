@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -52,7 +53,8 @@ class Field(NamedTuple):
 
     def serves(self, boresight: np.ndarray, observer: Observer) -> bool:
         """Whether these are still the stars of this boresight, seen by this observer."""
-        moved = np.abs(observer.velocity_c - self.observer.velocity_c).max()
+        same = observer is self.observer
+        moved = 0.0 if same else np.abs(observer.velocity_c - self.observer.velocity_c).max()
         late = observer.refraction is not None and abs(observer.epoch_jyear - self.observer.epoch_jyear) > STALE_YEARS
         return bool(self.boresight @ boresight > np.cos(MARGIN_RAD) and moved < STALE_VELOCITY_C and not late)
 
@@ -92,10 +94,10 @@ class Tracker:
         lens = self.drift.applied_to(self.lens)
         matrix, turning = self._predicted(time_s)
         rows, directions, xy, by_v = self._expected(lens, matrix, turning, observer)
-        trail = _trails(by_v, directions @ matrix.T, turning * (frame.exposure_s or 0.0))
+        trail = _trails(by_v, directions, matrix, turning * (frame.exposure_s or 0.0))
         shape = self.layers.moments_px2(xy)
         longest = float(np.abs(trail).max(initial=0.0))
-        radius = int(np.clip(np.ceil(2.5 * np.sqrt(shape[:, :2].max(initial=1.0)) + longest / 2), 2, 40))
+        radius = min(max(math.ceil(2.5 * math.sqrt(shape[:, :2].max(initial=1.0)) + longest / 2), 2), 40)
         layers = self.layers
         found = window_kernels.measure_windows(
             frame.data, layers.level_dn, layers.response, layers.bad, layers.saturation_dn, xy, shape, trail, self._reach_px,
@@ -181,12 +183,12 @@ class Tracker:
         """The next windows are as wide as twice what this prediction missed by (cross-boresight, and roll at the corner)."""
         turn = np.abs(fitted @ predicted.T - np.eye(3))
         moved_px = lens.fx_px * max(turn[0, 2], turn[1, 2]) + turn[0, 1] * max(lens.image_size_px) / 2
-        self._reach_px = int(np.clip(np.ceil(2 * moved_px + LEAST_REACH_PX), LEAST_REACH_PX, MOST_REACH_PX))
+        self._reach_px = min(math.ceil(2 * moved_px + LEAST_REACH_PX), MOST_REACH_PX)
 
     def _moved_to(self, matrix: np.ndarray, time_s: float) -> None:
         if self._matrix is not None and time_s > self._time_s:
             turn = rotation.rotvec_from_matrix(matrix @ self._matrix.T)
-            self.rate_rad_s = -turn / (time_s - self._time_s) if np.linalg.norm(turn) < LARGEST_TURN_RAD else None
+            self.rate_rad_s = -turn / (time_s - self._time_s) if math.hypot(*turn.tolist()) < LARGEST_TURN_RAD else None
         self._matrix, self._time_s = matrix, time_s
 
     def _lost(self, spots: Spots, why: str, odds: float = 1.0) -> tuple[Spots, Identification, Attitude]:
@@ -203,11 +205,11 @@ def _alone(sky: SkyCatalogue, rows: np.ndarray, reach_rad: float) -> np.ndarray:
     return rows[pulls.sum(1) == 1]
 
 
-def _trails(by_v: np.ndarray, u: np.ndarray, turn_rad: np.ndarray) -> np.ndarray:
+def _trails(by_v: np.ndarray, directions: np.ndarray, matrix: np.ndarray, turn_rad: np.ndarray) -> np.ndarray:
     """What each star's image moves during an exposure (N, 2), px."""
     if not turn_rad.any():
-        return np.zeros((len(u), 2))
-    return np.einsum("nij,nj->ni", by_v, -np.cross(turn_rad, u))
+        return np.zeros((len(directions), 2))
+    return np.einsum("nij,nj->ni", by_v, directions @ (matrix.T @ rotation.skew(turn_rad)))
 
 
 def _spots(found: np.ndarray, layers: Layers, trail: np.ndarray) -> Spots:
