@@ -199,10 +199,10 @@ def to_pixels(cells, cell, height, width):
 
 
 @fast
-def drift(data, expected, noise, cell, every, level, count, smooth):
+def drift(data, expected, noise, cell, every, columns_sum, level, count, smooth):
     """How far a frame (H, W) lies above the expectation, from every `every`-th row.
 
-    Room to work in: level, count (rows, columns) float64 of zeros.
+    Room to work in: columns_sum (3, W) float32; level, count (rows, columns) of cells, float64 zeros.
 
     Returns:
         mean square of (data - expected) / noise within the clip, as part of a Gaussian's; smooth (rows, columns), filled: its
@@ -212,28 +212,29 @@ def drift(data, expected, noise, cell, every, level, count, smooth):
     rows, columns = level.shape
     squares = everywhere = 0.0
     limit = np.float32(CLIP_SIGMA)
-    for y in range(every // 2, h, every):
-        for c in range(columns):
-            part = slice(c * cell, min((c + 1) * cell, w))
-            values, wanted, sigma = data[y, part], expected[y, part], noise[y, part]
-            n = total = square = np.float32(0)
-            for x in range(len(values)):
+    numbers, totals, square = columns_sum[0], columns_sum[1], columns_sum[2]
+    for r in range(rows):
+        columns_sum[:] = 0
+        for y in range(r * cell + every // 2, min((r + 1) * cell, h), every):
+            values, wanted, sigma = data[y], expected[y], noise[y]
+            for x in range(w):  # sums of columns, which fill the vector unit
                 z = (np.float32(values[x]) - wanted[x]) / sigma[x]
                 inside = abs(z) <= limit
-                n += np.float32(1) if inside else np.float32(0)
+                numbers[x] += np.float32(1) if inside else np.float32(0)
                 z = z if inside else np.float32(0)
-                total += z
-                square += z * z
-            level[y // cell, c] += total
-            count[y // cell, c] += n
-            squares += square
-            everywhere += n
+                totals[x] += z
+                square[x] += z * z
+        for x in range(w):
+            level[r, x // cell] += totals[x]
+            count[r, x // cell] += numbers[x]
+            squares += square[x]
+            everywhere += numbers[x]
     for r in range(rows):  # each cell with its neighbours, by their numbers of pixels
         for c in range(columns):
-            total64 = number = 0.0
+            total = number = 0.0
             for j in range(max(r - 1, 0), min(r + 2, rows)):
                 for i in range(max(c - 1, 0), min(c + 2, columns)):
                     weight = (2 - abs(j - r)) * (2 - abs(i - c))
-                    total64, number = total64 + weight * level[j, i], number + weight * count[j, i]
-            smooth[r, c] = total64 / number if number > 0 else 0.0
+                    total, number = total + weight * level[j, i], number + weight * count[j, i]
+            smooth[r, c] = total / number if number > 0 else 0.0
     return squares / max(everywhere, 1.0) / INSIDE_CLIP**2

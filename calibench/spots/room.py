@@ -19,7 +19,7 @@ class Room:
         self.labels, self.lowest = np.zeros(shape, np.int32), 1
         self.above = np.zeros((w + 63) // 64 * 64, bool)
         self.eight = self.above.view(np.uint64)
-        self.waiting = np.empty((2, w), np.int64)
+        self.waiting = np.empty((2, w + 8), np.int64)
         self.peaks = np.empty((MOST_PEAKS, 3))
         self.stack = np.empty(max(int(LARGEST_FRACTION * h * w), LARGEST_AT_LEAST) + 16, np.int64)
 

@@ -141,7 +141,8 @@ def _key(frame: Frame, data: np.ndarray) -> tuple:
 def _sampled(data: np.ndarray, thresholds: ThresholdMap) -> tuple[np.ndarray, float]:
     """How the frame lies about the threshold map: (its level above it in each cell, sigma; its noise over the map's)."""
     level, count, smooth = np.zeros((3, *thresholds.coarse_dn.shape))
-    square = drift(data, thresholds.expected_dn, thresholds.noise_dn, CELL_PX, DRIFT_ROWS, level, count, smooth)
+    square = drift(data, thresholds.expected_dn, thresholds.noise_dn, CELL_PX, DRIFT_ROWS,
+                   np.empty((3, data.shape[1]), np.float32), level, count, smooth)
     return smooth, float(np.sqrt(square))
 
 

@@ -42,7 +42,7 @@ def test_cells_are_interpolated_and_continued_linearly():
 
 def drift(data, expected, noise):
     level, count, smooth = np.zeros((3, 5, 7))
-    return smooth, kernels.drift(data, expected, noise, 64, 16, level, count, smooth)
+    return smooth, kernels.drift(data, expected, noise, 64, 16, np.empty((3, 390), np.float32), level, count, smooth)
 
 
 def test_drift_sees_a_risen_sky_and_louder_noise():

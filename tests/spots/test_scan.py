@@ -53,7 +53,7 @@ def test_the_scan_is_its_plain_form(masked):
         expected[rng.random(data.shape) < 0.02] = np.nan
     thresholds = threshold_map(expected, np.full(data.shape, np.sqrt(109.0)), np.uint16)
     room = Room(data.shape)
-    count = kernels.scan(data, thresholds.seed_dn, thresholds.lowest_dn, thresholds.blocked, thresholds.expected_dn,
+    count = kernels.scan(data, thresholds.seed_dn, thresholds.lowest_dn, thresholds.expected_dn,
                          thresholds.noise_dn, thresholds.coarse_dn, thresholds.no_drift, 4.0, room.above, room.eight,
                          room.waiting, room.peaks)
     rows, columns, scores = room.peaks[:count].T

@@ -45,35 +45,43 @@ def score_at(data, expected, noise, level, y, x):
 
 
 @compiled
-def _promising(data, seed, blocked, sigma, y, x, least):
-    """Whether (x, y) is farthest of its 3x3 above the thresholds (of equal ones the first), and may score above `least`."""
-    own = float(data[y, x]) - float(seed[y, x])
-    total, whole = own, True
+def _promising(data, lowest, sigma, y, x, least):
+    """Whether the pixels about (x, y) may score above `least`: by thresholds that are at hand and not above the pixels' own.
+
+    Generous by one sigma (drift, rounding, a neighbour that is not used); neighbours count as no less than expected."""
+    total = WEIGHT_NORM * sigma + WEIGHT_SUM
     for j in range(3):
+        line = (y + j - 1) // ROWS_TOGETHER
         for i in range(3):
-            if j == 1 and i == 1:
-                continue
-            there = seed[y + j - 1, x + i - 1]
-            whole &= there != blocked
-            excess = float(data[y + j - 1, x + i - 1]) - float(there)
-            if excess > own or (excess == own and 3 * j + i < 4):
-                return False
-            weight = CORNER if (j + i) % 2 == 0 else SIDE
-            total += weight * max(excess, -2 * SEED_SIGMA * sigma)
-    # Generous by one sigma, by the rounding of the thresholds, and where a pixel is not used.
-    return not whole or total > ((least - 1.0) * WEIGHT_NORM - SEED_SIGMA * WEIGHT_SUM) * sigma - WEIGHT_SUM
+            excess = float(data[y + j - 1, x + i - 1]) - float(lowest[line, x + i - 1]) + SEED_SIGMA * sigma
+            total += (1.0 if j == 1 else SIDE) * (1.0 if i == 1 else SIDE) * max(excess, 0.0)
+    return total > least * WEIGHT_NORM * sigma
 
 
 @compiled
-def scan(data, seed, lowest, blocked, expected, noise, coarse, level, least, above, eight, waiting, peaks):
+def _highest(data, seed, y, x):
+    """Whether (x, y) is above its threshold, and farthest of its 3x3; of equal ones the first."""
+    own = float(data[y, x]) - float(seed[y, x])
+    if own <= 0:
+        return False
+    for j in range(3):
+        for i in range(3):
+            excess = float(data[y + j - 1, x + i - 1]) - float(seed[y + j - 1, x + i - 1])
+            if excess > own or (excess == own and 3 * j + i < 4):
+                return False
+    return True
+
+
+@compiled
+def scan(data, seed, lowest, expected, noise, coarse, level, least, above, eight, waiting, peaks):
     """Peaks of a frame: pixels above their seed threshold, the highest of their 3x3, where the matched filter gives
     more than `least` sigma and the light is not all in one pixel.
 
-    data, seed: (H, W) of one type; seed is expected + SEED_SIGMA * noise, or `blocked` where a pixel is not used. lowest:
+    data, seed: (H, W) of one type; seed is expected + SEED_SIGMA * noise, or beyond reach where a pixel is not used. lowest:
     (H / ROWS_TOGETHER, W), the least seed of each column's pixels of ROWS_TOGETHER rows: it stays in the cache, so that the
     frame alone is read from memory. expected, noise: (H, W) float32, expected NaN where a pixel is not used. coarse, level:
     cells of CELL_PX: the noise in DN, and the sky's drift since in sigma. Room to work in: above (W or more, a multiple of 64)
-    bool, all False from W on; eight: the same as uint64; waiting (2, W) int64.
+    bool, all False from W on; eight: the same as uint64; waiting (2, W + 8) int64.
 
     Returns:
         number N of peaks; peaks (most, 3): rows, columns, scores, filled in reading order.
@@ -91,13 +99,13 @@ def scan(data, seed, lowest, blocked, expected, noise, coarse, level, least, abo
                     | eight[k + 4] | eight[k + 5] | eight[k + 6] | eight[k + 7]):
                 for m in range(k, k + 8):
                     if eight[m]:
-                        for x in range(max(8 * m, 1), min(8 * m + 8, w - 1)):
-                            if above[x] and row[x] > seed[y, x]:
-                                waiting[now, waits] = x
-                                waits += 1
+                        for x in range(8 * m, 8 * m + 8):  # without a branch that nobody could predict
+                            waiting[now, waits] = x
+                            waits += above[x]
         for n in range(ready if y > 1 else 0):  # of the row before: its neighbours are in the cache by now
             x = waiting[before, n]
-            if _promising(data, seed, blocked, coarse[(y - 1) // CELL_PX, x // CELL_PX], y - 1, x, least):
+            if (0 < x < w - 1 and _promising(data, lowest, coarse[(y - 1) // CELL_PX, x // CELL_PX], y - 1, x, least)
+                    and _highest(data, seed, y - 1, x)):
                 score, sharpness = score_at(data, expected, noise, level, y - 1, x)
                 if score > least and sharpness < SHARPEST and count < len(peaks):
                     peaks[count, 0], peaks[count, 1], peaks[count, 2] = y - 1, x, score

@@ -43,7 +43,7 @@ def candidates_on(data: np.ndarray, thresholds: ThresholdMap, k_sigma: float, *,
     """
     room = Room(data.shape) if room is None else room
     scene = (data, thresholds.expected_dn, thresholds.noise_dn, thresholds.no_drift if drift is None else drift)
-    count = kernels.scan(data, thresholds.seed_dn, thresholds.lowest_dn, thresholds.blocked, *scene[1:3],
+    count = kernels.scan(data, thresholds.seed_dn, thresholds.lowest_dn, *scene[1:3],
                          thresholds.coarse_dn, scene[3], float(k_sigma), room.above, room.eight, room.waiting, room.peaks)
     if count == 0:
         return Candidates.none()
