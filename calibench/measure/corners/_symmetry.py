@@ -17,6 +17,8 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from .kernels import odd_parts
+
 SIGMA_PX = 0.8  # below this a Gaussian sum over pixels depends on where the pixels lie (2 exp(-2 pi^2 sigma^2))
 MARGIN_PX = 4  # of the Gaussian around the lattice
 MOST_ROUNDS = 8
@@ -55,14 +57,13 @@ def refine(grey: np.ndarray, xy_px: np.ndarray, places: np.ndarray, window: floa
         xy, covariance = refine(_binned(grey, by), (xy_px - (by - 1) / 2) / by, places, window)
         return xy * by + (by - 1) / 2, covariance * by**2
     padded = np.pad(grey, MOST_HALF_PX + MARGIN_PX, mode="edge")
-    window_at = _window(axes, bend, half)
     for _ in range(MOST_ROUNDS):
-        step, *fit = _step(padded, centre, *window_at)
+        step, *fit = _step(padded, centre, axes, bend, half)
         centre = centre + np.clip(step, -STEP_PX, STEP_PX)
         if not (np.abs(step) > NEAR_PX).any():
             break
         if np.isfinite(step).all():  # a better map of the bend
-            window_at = _window(*local_map(centre, uv)[:2], half)
+            axes, bend, _ = local_map(centre, uv)
     kept = np.linalg.norm(centre - start, axis=1) < FARTHEST * spacing  # not where the step is NaN: nothing to see there
     if kept.any():
         out[seen[kept]] = centre[kept]
@@ -107,45 +108,25 @@ def _smoothing(places: bytes) -> np.ndarray:
     return terms @ np.linalg.pinv(terms[0])
 
 
-def _window(axes: np.ndarray, bend: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (P, n, n) on a lattice of n pixels, n odd, and how far the bend shifts each sample (2, P, n, n) px."""
+def _step(padded: np.ndarray, centre: np.ndarray, axes: np.ndarray, bend: np.ndarray,
+          half: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Gauss-Newton step (P, 2) px, inverse normal matrix (P, 2, 2), weight (P, n, n), gradient (P, 2, n, n), odd part."""
     reach = int(min(np.ceil((half[:, None] * np.abs(axes).sum(axis=-1)).max()), MOST_HALF_PX))  # axes change a little
-    d = np.arange(-reach, reach + 1, dtype=np.float32)
-    lattice = np.stack(np.meshgrid(d, d)).reshape(2, -1)
-    u, v = np.moveaxis(np.linalg.inv(axes).astype(np.float32) @ lattice, 1, 0)
-    to_border = (np.pi / 2 / half[:, None]).astype(np.float32)
-    weight = np.prod([np.cos(np.clip(x * to_border, -np.pi / 2, np.pi / 2)) ** 2 for x in (u, v)], axis=0)
-    shift = np.moveaxis(bend.astype(np.float32) @ np.stack([u * u, u * v, v * v], axis=1), 1, 0)
-    shape = (len(axes), len(d), len(d))
-    return weight.reshape(shape), shift.reshape(2, *shape)
-
-
-def _step(padded: np.ndarray, centre: np.ndarray, weight: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Gauss-Newton step (P, 2) px, inverse normal matrix (P, 2, 2), gradient (P, 2, n, n), it weighted, odd part (P, n, n)."""
-    reach, border = weight.shape[1] // 2, MOST_HALF_PX + MARGIN_PX
+    border = MOST_HALF_PX + MARGIN_PX
     side = 2 * (reach + MARGIN_PX) + 1
     size = np.array(padded.shape[::-1]) - 2 * border
     whole = np.rint(np.clip(np.nan_to_num(centre), 0, size - 1)).astype(int)
     column, row = (whole + border - reach - MARGIN_PX).T
     patch = np.lib.stride_tricks.sliding_window_view(padded, (side, side))[row, column].astype(np.float32)
-    (to_x, by_x), (to_y, by_y) = (_sampling((centre - whole)[:, i], reach) for i in (0, 1))
-    across = patch @ to_x
-    light = to_y.swapaxes(1, 2) @ across
-    gradient = np.stack([to_y.swapaxes(1, 2) @ (patch @ by_x), by_y.swapaxes(1, 2) @ across], axis=1)
-    gradient = (gradient - gradient[..., ::-1, ::-1]) / 2
-    odd = (light - light[:, ::-1, ::-1]) / 2
-    odd += gradient[:, 0] * shift[0] + gradient[:, 1] * shift[1]
-    at = whole[:, :, None] + np.arange(-reach, reach + 1)
-    within = (at >= 0) & (at < size[:, None])
-    within &= within[:, :, ::-1]  # a sample counts only with its partner
-    if not within.all():
-        weight = weight * (within[:, 1, :, None] & within[:, 0, None, :])
-    weighted = gradient * weight[:, None]
-    normal, right = _products(weighted, gradient), _products(weighted, odd[:, None])
+    points, n = len(centre), 2 * reach + 1
+    weight, odd = np.empty((2, points, n, n), np.float32)
+    gradient, sums = np.empty((points, 2, n, n), np.float32), np.empty((points, 5))
+    odd_parts(patch, centre - whole, SIGMA_PX, np.minimum(whole, size - 1 - whole), np.linalg.inv(axes),
+              np.ascontiguousarray(bend), half, weight, gradient, odd, sums)
+    xx, xy, yy, *right = sums.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = np.array([[normal[:, 1, 1], -normal[:, 0, 1]], [-normal[:, 1, 0], normal[:, 0, 0]]]) / np.linalg.det(normal)
-        inverse = inverse.transpose(2, 0, 1)
-        return -(inverse @ right)[..., 0], inverse, gradient, weighted, odd
+        inverse = (np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy * xy)).transpose(2, 0, 1)
+        return -(inverse @ np.stack(right, -1)[..., None])[..., 0], inverse, weight, gradient, odd
 
 
 def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -154,25 +135,13 @@ def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a @ b.swapaxes(1, 2)).astype(float)
 
 
-def _sampling(fraction: np.ndarray, reach: int) -> np.ndarray:
-    """(2, P, m, n): weights of m pixels in the light under a Gaussian at n places, a pixel apart; and in its derivative."""
-    taps = np.arange(-MARGIN_PX, MARGIN_PX + 1)
-    t = taps - fraction[:, None]
-    gauss = np.exp(-0.5 * (t / SIGMA_PX) ** 2)
-    gauss /= gauss.sum(axis=1, keepdims=True)
-    n = 2 * reach + 1
-    out = np.zeros((2, len(fraction), n + 2 * MARGIN_PX, n), np.float32)
-    place = np.arange(n)[:, None]
-    out[:, :, place + taps + MARGIN_PX, place] = np.stack([gauss, t / SIGMA_PX**2 * gauss])[:, :, None]
-    return out
-
-
-def _covariance(step: np.ndarray, inverse: np.ndarray, gradient: np.ndarray, weighted: np.ndarray,
+def _covariance(step: np.ndarray, inverse: np.ndarray, weight: np.ndarray, gradient: np.ndarray,
                 odd: np.ndarray) -> np.ndarray:
     """(P, 2, 2) px^2: pixel noise through the estimator; the noise is what stays odd where the edges are.
 
     Half of it is the point's own estimate and half the view's median, because a small window alone knows its noise badly.
     """
+    weighted = gradient * weight[:, None]
     d = np.arange(odd.shape[1])
     spread = 2 * SIGMA_PX**2  # samples share pixels: their correlation is the Gaussian folded with itself
     shared = np.exp(-0.5 * (d[:, None] - d) ** 2 / spread) / np.sqrt(2 * np.pi * spread)
