@@ -6,15 +6,16 @@ warms slowly stays in its group: a warning tells of the drift.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..records import Frame
+from ._open_stacks import OPEN_BYTES, OpenStacks
 from ._stack import Accumulator, Series
 
 GROUP_C = 1.5
-OPEN_BYTES, BYTES_A_PIXEL = 250_000_000, 20  # what open stacks may take together; what the sums of one take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +48,8 @@ class DarkLevel:
 class DarkLevels:
     """Takes darks one by one. Key of a level: (exposure, number of its temperature group)."""
 
-    def __init__(self) -> None:
-        self._open: dict[tuple, Accumulator] = {}  # the last used is last
+    def __init__(self, most_bytes: int = OPEN_BYTES) -> None:
+        self._open = OpenStacks(most_bytes)
         self._closed: dict[tuple, DarkLevel] = {}
         self._celsius: dict[tuple, list[float]] = {}
         self._spans_c: list[tuple[float, float]] = []  # lowest and highest of each temperature group
@@ -67,49 +68,42 @@ class DarkLevels:
             self._spans_c[self._group] = min(low, c), max(high, c)
         return frame.exposure_s, self._group
 
-    def add(self, frame: Frame) -> tuple[float | None, int]:
-        """Add a frame to its level; gives the level's key.
+    def add(self, frame: Frame) -> None:
+        """Add a frame to its level.
 
         Raises:
             BadInput: as `Accumulator.add`.
         """
         key = self.key(frame)
-        most = max(2, OPEN_BYTES // (BYTES_A_PIXEL * frame.data.size))
-        if key not in self._open and len(self._open) >= most:
-            self._close(next(iter(self._open)))
-        stack = self._open[key] = self._open.pop(key, None) or Accumulator()
-        stack.add(frame)
+        given_up = self._open.add(key, frame)
+        if given_up is not None:
+            self._close(*given_up)
         if frame.temperature_c is not None:
             self._celsius.setdefault(key, []).append(frame.temperature_c)
-        return key
 
-    def without_unknown_exposures(self) -> bool:
-        """Drop frames of unknown exposure where others have one. True: some were dropped."""
-        keys = {*self._open, *self._closed}
-        unknown = {key for key in keys if key[0] is None}
-        if unknown == keys:
-            return False
-        for key in unknown:
-            self._open.pop(key, None)
-            self._closed.pop(key, None)
-        return bool(unknown)
+    def groups(self) -> tuple[list[list[DarkLevel]], bool]:
+        """The levels of each temperature in ascending exposure, in the order in which the temperatures came, and whether frames
+        of unknown exposure were dropped because others have one. Call once."""
+        for closed in self._open.empty():
+            self._close(*closed)
+        unknown = {key for key in self._closed if key[0] is None}
+        dropped = 0 < len(unknown) < len(self._closed)
+        keys = sorted(self._closed.keys() - (unknown if dropped else set()), key=lambda key: (key[1], key[0] or 0.0))
+        groups = dict.fromkeys(key[1] for key in keys)
+        return [[self._closed[key] for key in keys if key[1] == group] for group in groups], dropped
 
-    def groups(self) -> list[list[DarkLevel]]:
-        """The levels of each temperature in ascending exposure, in the order in which the temperatures came. Call once."""
-        for key in list(self._open):
-            self._close(key)
-        keys = sorted(self._closed, key=lambda key: (key[1], key[0] or 0.0))
-        return [[self._closed[key] for key in keys if key[1] == group] for group in dict.fromkeys(key[1] for key in keys)]
-
-    def _close(self, key: tuple) -> None:
-        series = self._open.pop(key).series()
-        level = DarkLevel(
-            exposure_s=key[0], group=key[1], celsius=tuple(self._celsius.get(key, ())),
-            mean_dn=series.stack.mean_dn.astype(np.float32), freedom=series.freedom,
-            variance_dn2=series.steady_variance_dn2.astype(np.float32) if series.freedom else None,
-            constant=_constant(series),
-            levels_dn=np.asarray(series.levels_dn))
+    def _close(self, key: tuple, stack: Accumulator) -> None:
+        level = dark_level(key, stack, self._celsius.get(key, ()))
         self._closed[key] = _merged(self._closed[key], level) if key in self._closed else level
+
+
+def dark_level(key: tuple[float | None, int], stack: Accumulator, celsius: Sequence[float] = ()) -> DarkLevel:
+    """The level of a complete stack."""
+    series = stack.series()
+    return DarkLevel(
+        exposure_s=key[0], group=key[1], celsius=tuple(celsius), mean_dn=series.mean_dn, freedom=series.freedom,
+        variance_dn2=series.steady_variance_dn2 if series.freedom else None, constant=_constant(series),
+        levels_dn=series.levels_dn)
 
 
 def _constant(series: Series) -> np.ndarray:
@@ -119,7 +113,7 @@ def _constant(series: Series) -> np.ndarray:
         drift = float(np.var(series.levels_dn)) * stack.count / series.freedom
         few = np.nonzero(series.steady_variance_dn2 <= 1.01 * drift + 1e-3)
         out[:] = False
-        out[few] = stack.sum_sq_dn2[few] * stack.count == stack.sum_dn[few].astype(np.int64) ** 2
+        out[few] = stack.sum_sq_dn2[few].astype(np.int64) * stack.count == stack.sum_dn[few].astype(np.int64) ** 2
     return out
 
 

@@ -87,8 +87,7 @@ def fit(levels: Sequence[DarkLevel], white_level_dn: float, gain_dn_per_e: float
     exposures = None if levels[0].exposure_s is None else tuple(level.exposure_s for level in levels)
     known = [level for level in levels if level.freedom]
     variance = tuple(_variance(level, known) for level in levels)
-    if exposures and exposures[-1] > MAX_EXPOSURE_S:
-        raise BadInput(f"an exposure of {exposures[-1]:g} s is longer than a day", mend="give exposures in seconds")
+    check_exposure(exposures[-1] if exposures else 0.0)
     common = {"levels": tuple(levels), "variance_dn2": variance, "exposure_s": exposures, "noise_known": bool(known)}
     if exposures is None or len(exposures) < 2:
         one = levels[0]
@@ -101,7 +100,7 @@ def fit(levels: Sequence[DarkLevel], white_level_dn: float, gain_dn_per_e: float
     level = np.array([one.levels_dn.mean() for one in levels])
     error = np.array([_level_error(one, v) for one, v in zip(levels, variance, strict=True)])
     level_offset, level_rate = _level_line(t, level, error)
-    _check_rate(level_rate[0], white_level_dn, gain_dn_per_e)
+    check_rate(level_rate[0], white_level_dn, gain_dn_per_e)
     means = [one.mean_dn for one in levels]
     return Ladder(**common, level_offset=level_offset, level_rate=level_rate, to_rate=to_rate,
                   offset_dn=_combine(to_offset, means), offset_variance_dn2=_combine(to_offset**2 / counts, variance),
@@ -151,7 +150,14 @@ def _level_line(t: np.ndarray, level: np.ndarray, error: np.ndarray) -> tuple[tu
     return ((offset, wider * float(np.linalg.norm(to_offset * error))), (rate, wider * float(np.linalg.norm(to_rate * error))))
 
 
-def _check_rate(rate_dn_per_s: float, white_level_dn: float, gain_dn_per_e: float) -> None:
+def check_exposure(longest_s: float) -> None:
+    """Raises BadInput where it is absurd."""
+    if longest_s > MAX_EXPOSURE_S:
+        raise BadInput(f"an exposure of {longest_s:g} s is longer than a day", mend="give exposures in seconds")
+
+
+def check_rate(rate_dn_per_s: float, white_level_dn: float, gain_dn_per_e: float) -> None:
+    """Raises BadInput where the mean dark rate is absurd; the gain is NaN where unknown."""
     limit = MAX_RATE_E_PER_S * gain_dn_per_e if np.isfinite(gain_dn_per_e) else white_level_dn / MIN_TIME_TO_FILL_S
     if abs(rate_dn_per_s) > limit:
         unknown = not np.isfinite(gain_dn_per_e)

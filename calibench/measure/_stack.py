@@ -20,6 +20,7 @@ from .kernels import add_frames, steady_squares
 
 MIN_FRAMES_FOR_SLOPE = 4
 BATCH = 8
+NARROW, WIDE = (np.int32, np.uint32, np.int32), (np.int32, np.int64, np.int64)  # sums, squares, weighted: 12 or 20 bytes
 WEIGHTS_PER_DN = 256  # levels are weights in this integer step: its rounding adds 1e-6 DN^2 to the steady variance
 
 
@@ -36,6 +37,12 @@ class Series:
     steady_variance_dn2: np.ndarray
     freedom: int
 
+    @property
+    def mean_dn(self) -> np.ndarray:
+        """(H, W) float32, made anew at each call."""
+        out = np.empty(self.stack.sum_dn.shape, np.float32)  # by parts in float64, so that equal means stay equal
+        return np.divide(self.stack.sum_dn, self.stack.count, out=out, dtype=np.float64, casting="unsafe")
+
 
 class Accumulator:
     """Takes frames of one kind one by one; `series` is valid after each."""
@@ -49,6 +56,7 @@ class Accumulator:
         self._lent = False  # a series holds the sums: they are copied before the next frame is added
         self._shape: tuple[int, int] | None = None
         self._widest = 0  # largest |pixel|
+        self._narrow = True  # squares and weighted sums still fit into 32 bits
 
     def add(self, frame: Frame) -> None:
         """Add a frame.
@@ -66,12 +74,12 @@ class Accumulator:
                            file=frame.file or None)
         self._require_room(self.count + 1, max(self._widest, seen.largest, -seen.smallest), frame.file or None)
         if self._waiting and self._waiting[0].dtype != values.dtype:
-            self._add_waiting()
+            self.settle()
         self._weights.append((WEIGHTS_PER_DN * (seen.total_dn - self._reference_dn * pixels) + pixels // 2) // pixels)
         self._levels.append(seen.level_dn)
         self._waiting.append(values.reshape(-1))
         if len(self._waiting) == BATCH:
-            self._add_waiting()
+            self.settle()
 
     def merge(self, other: Accumulator) -> None:
         """Take in the frames of another accumulator, as if they had been added here after its own: exact in any order.
@@ -86,8 +94,9 @@ class Accumulator:
         if other._shape != self._shape:
             raise BadInput(f"a stack of {other._shape[::-1]} px does not go with one of {self._shape[::-1]} px")
         self._require_room(self.count + other.count, max(self._widest, other._widest), None)
-        self._add_waiting()
-        other._add_waiting()
+        self.settle()
+        other.settle()
+        self._widen()
         self._own_sums()
         further = WEIGHTS_PER_DN * (other._reference_dn - self._reference_dn)
         for mine, theirs in zip(self._sums, other._sums, strict=True):
@@ -95,6 +104,25 @@ class Accumulator:
         self._sums[2][:] += further * other._sums[0].astype(np.int64)
         self._weights += [weight + further for weight in other._weights]
         self._levels += other._levels
+
+    @property
+    def waiting(self) -> int:
+        """Frames held until a batch is full."""
+        return len(self._waiting)
+
+    def settle(self) -> None:
+        """Add the waiting frames to the sums now."""
+        if self._sums is None:
+            pixels = self._shape[0] * self._shape[1]
+            self._sums = tuple(np.zeros(pixels, dtype) for dtype in (NARROW if self._narrow else WIDE))
+        count = len(self._waiting)
+        if count:
+            if self.count * self._widest**2 >= 2**32 or sum(map(abs, self._weights)) * self._widest >= 2**31:
+                self._widen()
+            self._own_sums()
+            weights = np.array(self._weights[-count:], np.int32)
+            add_frames(tuple(self._waiting) + (self._waiting[0],) * (BATCH - count), count, weights, *self._sums)
+            self._waiting.clear()
 
     @property
     def count(self) -> int:
@@ -115,7 +143,7 @@ class Accumulator:
         n = self.count
         if n == 0:
             raise BadInput("a stack of no frames")
-        self._add_waiting()
+        self.settle()
         total, squares, weighted = self._sums
         weights = np.array(self._weights) / WEIGHTS_PER_DN
         spread = float(np.sum((weights - weights.mean()) ** 2))
@@ -133,20 +161,14 @@ class Accumulator:
         return Series(stack=stack, levels_dn=np.array(self._levels), freedom=freedom,
                       steady_variance_dn2=steady.reshape(self._shape))
 
-    def _add_waiting(self) -> None:
-        if self._sums is None:
-            pixels = self._shape[0] * self._shape[1]
-            self._sums = np.zeros(pixels, np.int32), np.zeros(pixels, np.int64), np.zeros(pixels, np.int64)
-        count = len(self._waiting)
-        if count:
-            self._own_sums()
-            weights = np.array(self._weights[-count:], np.int32)
-            add_frames(tuple(self._waiting) + (self._waiting[0],) * (BATCH - count), count, weights, *self._sums)
-            self._waiting.clear()
-
     def _own_sums(self) -> None:
         if self._lent:
             self._sums, self._lent = tuple(part.copy() for part in self._sums), False
+
+    def _widen(self) -> None:
+        if self._narrow:
+            self._narrow = False
+            self._sums = tuple(part.astype(dtype, copy=False) for part, dtype in zip(self._sums, WIDE, strict=True))
 
     def _require_room(self, n: int, x: int, file: str | None) -> None:
         """Every integer stays below its type's end: weight and sum(x) in int32, n sum(x^2) and sum(weight x) in int64."""

@@ -95,9 +95,10 @@ def _collect(frames: Iterable[Frame], settings: Settings) -> tuple[Ledger, list[
         if frame.exposure_s is None:
             without.append(frame.file or frame.name)
     ledger.first  # noqa: B018  raises where there was no frame at all
-    if levels.without_unknown_exposures():
+    groups, dropped = levels.groups()
+    if dropped:
         ledger.rejected += [(name, "no exposure time, while other frames have one") for name in without]
-    return ledger, levels.groups()
+    return ledger, groups
 
 
 def _fetcher(frames: Iterable[Frame], ledger: Ledger, refused: list[str]) -> Fetch:

@@ -129,8 +129,7 @@ def _collect(frames: Iterable[Frame], ledger: Ledger) -> tuple[list[tuple], list
         stack.add(frame)
         files.setdefault(id(stack), []).append(frame.file or frame.name)
     ledger.first  # noqa: B018  raises where there was no frame at all
-    darks.without_unknown_exposures()
-    return flats, max(darks.groups(), key=len, default=[]), files
+    return flats, max(darks.groups()[0], key=len, default=[]), files
 
 
 def _level(exposure_s: float | None, stack: Accumulator, ladder: Ladder | None, calmap: CalibrationMap | None,

@@ -14,7 +14,8 @@ BLOCK = 2048
 
 @compiled
 def add_frames(frames, count, weights, total, squares, weighted):
-    """Add the first `count` of a tuple of frames x: x to total (int32), x^2 and weight x to int64 sums.
+    """Add the first `count` of a tuple of frames x: x to total (int32), x^2 to squares (uint32 or int64), weight x to weighted
+    (int32 or int64).
 
     weights: (count or more,) int32, one a frame. Values are not shifted: subtracting costs a third of the time, and integers
     lose nothing by being large.
@@ -51,7 +52,7 @@ def steady_squares(total, squares, weighted, count, weight_sum, dn_per_weight, s
     weights; else every pixel follows them one to one.
     """
     for i in range(total.size):
-        own = np.float64(count * squares[i] - np.int64(total[i]) * np.int64(total[i])) / count
+        own = np.float64(count * np.int64(squares[i]) - np.int64(total[i]) * np.int64(total[i])) / count
         cross = (np.float64(weighted[i]) - weight_sum * np.float64(total[i]) / count) * dn_per_weight
         out[i] = max(own - cross * cross / spread_dn2, 0.0) if own_slope else max(own - 2 * cross + spread_dn2, 0.0)
 

@@ -71,7 +71,7 @@ class Frame:
 class FrameStack:
     """One pass over `count` frames taken alike: exact integer sums, from which mean and temporal variance follow.
 
-    sum_dn (H, W) int32, sum_sq_dn2 (H, W) int64: sums of the data and of their squares.
+    sum_dn (H, W) int32, sum_sq_dn2 (H, W) uint32 or int64: sums of the data and of their squares.
     """
 
     sum_dn: np.ndarray
@@ -93,7 +93,8 @@ class FrameStack:
         n = self.count
         if n == 1:
             return np.full(self.sum_dn.shape, np.nan)
-        squares = self.sum_sq_dn2 * n
+        squares = self.sum_sq_dn2.astype(np.int64)
+        squares *= n
         squares -= self.sum_dn.astype(np.int64) ** 2
         return squares / (n * (n - 1))
 
