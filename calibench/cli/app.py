@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 
 import typer
 
 from ..errors import CalibenchError
 from . import catalogue, maps, measuring, sessions, simulating, sky, transfer
-
-# Read when numpy loads, which starting the command line does not: the matrices here are small and many, and threads that wait
-# for each other on a busy machine cost ten times what they save.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 TyperUsageError = typer.BadParameter.__base__  # typer exports only this child of its usage error
 

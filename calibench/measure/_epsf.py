@@ -99,21 +99,22 @@ def fit_shape(spots: Windows, image_size_px: tuple[int, int], *, gain_dn_per_e: 
     now, normal, terms = step(now, ORDERS[-1], degrees[-1], robust=True)
     whole, right = _assembled(normal, terms, slice(None))
     prior = _prior(whole, right + whole @ before, _groups(degrees[-1]))
+    # A right side belongs to a step from `before`; for the coefficients themselves, matrix @ before is added to it.
     # The last matrix serves all lower orders and degrees, each judged by the spots of the folds that it has not seen.
     folds = _folds(now.xy_px, image_size_px)
     parts = [_assembled(normal, terms, folds == fold) for fold in range(FOLDS)]
-    judged = {(o, d): _held_out(parts, before, _block(o, d, terms.shape[1]), prior, normal)
+    others = [(whole - part, right - part_right + (whole - part) @ before) for part, part_right in parts]
+    judged = {(o, d): _held_out(parts, others, before, _block(o, d, terms.shape[1]), prior, normal)
               for o in ORDERS for d in degrees}
     order, degree = min(judged, key=judged.get)
     block = _block(order, degree, terms.shape[1])
 
     def shape(matrix: np.ndarray, right: np.ndarray) -> HermiteShape:
-        # `right` belongs to a step from `before`; for the coefficients themselves it is right + matrix @ before
-        found = _solved(matrix[np.ix_(block, block)], (right + matrix @ before)[block], prior[block])
+        found = _solved(matrix[np.ix_(block, block)], right[block], prior[block])
         return HermiteShape(order=order, degree=degree, scale_px=scale_px, coefficients=found.reshape(-1, _terms(degree)),
                             radius_px=spots.data_dn.shape[1] // 2, core_residual=0.0, dither_coverage=dither_coverage)
-    without = tuple(shape(whole - part, right - part_right) for part, part_right in parts)
-    found = shape(whole, right)
+    without = tuple(shape(*rest) for rest in others)
+    found = shape(whole, right + whole @ before)
     terms = field_terms(now.xy_px, image_size_px, degree)
     last = _normal(now, found.coefficients, terms, order, scale_px, gain_dn_per_e, pinhole_px, robust=True)
     now = _moved(now, last, np.zeros(last.right.shape))
@@ -280,14 +281,12 @@ def _folds(xy_px: np.ndarray, image_size_px: tuple[int, int]) -> np.ndarray:
     return (cell[:, 0] + 2 * cell[:, 1] + cell[:, 0] * cell[:, 1]) % FOLDS
 
 
-def _held_out(parts: list, before: np.ndarray, block: np.ndarray, prior: np.ndarray, normal: _Normal) -> float:
+def _held_out(parts: list, others: list, before: np.ndarray, block: np.ndarray, prior: np.ndarray, normal: _Normal) -> float:
     """Chi2 per pixel of the spots of each fold by coefficients from the others (their own four unknowns are their own)."""
-    whole, right = sum(m for m, _ in parts), sum(r for _, r in parts)
     total = normal.chi2.sum()
-    for matrix, part in parts:
-        rest, rest_right = whole - matrix, right - part
+    for (matrix, part), (rest, rest_right) in zip(parts, others, strict=True):
         found = np.zeros_like(before)
-        found[block] = _solved(rest[np.ix_(block, block)], (rest_right + rest @ before)[block], prior[block])
+        found[block] = _solved(rest[np.ix_(block, block)], rest_right[block], prior[block])
         change = found - before
-        total += change @ matrix @ change - 2 * change @ part
+        total += change @ (matrix @ change) - 2 * change @ part
     return float(total / normal.pixels.sum())
