@@ -13,7 +13,7 @@ that the map is made anew from the frame at hand.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -169,16 +169,18 @@ def _look(frame: Frame, data: np.ndarray, calmap: CalibrationMap, false_alarms: 
     response = layers.response
     # Raw value at which the corrected frame would show its background; the frame's own noise falls out of the difference.
     expected = np.where(broken, np.float32(np.nan), data - signal * response)
-    law = NoiseLaw(step_dn=step_from_skewness(signal, noise, blind), whole_dn=data.dtype.kind == "u")
+    whole = data.dtype.kind == "u"
     if {"gain_dn_per_e", "read_noise_dn"} <= calmap.measured:
         # The map's variance with the sky in place of the pixel's own light, scaled to what the frame shows.
         variance = np.maximum(corrected.variance_dn2 * response**2 - np.float32(calmap.gain_dn_per_e) * signal * response,
                               layers.read_variance_dn2)
         _, scale = background_and_noise(signal * response / np.sqrt(variance), blind, floor=LEAST_NOISE)
         noise_raw = np.sqrt(variance) * scale
-        law = replace(law, step_dn=calmap.gain_dn_per_e, normal_dn=float(np.sqrt(np.median(layers.read_variance_dn2))))
+        typical = float(np.sqrt(np.median(layers.read_variance_dn2[::4, ::4])))
+        law = NoiseLaw(step_dn=calmap.gain_dn_per_e, normal_dn=typical, whole_dn=whole)
     else:
         noise_raw = noise * response
+        law = NoiseLaw(step_dn=step_from_skewness(signal, noise, blind), whole_dn=whole)
     thresholds = threshold_map(expected, noise_raw, data.dtype)
     k_sigma = k_for_false_alarms(thresholds, false_alarms, law)
     if "psf" in calmap.measured:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from math import sqrt
 
+import numpy as np
+
 from ...kernels import compiled
 from ..kernels import LONG
 
@@ -20,6 +22,26 @@ CONTRAST_SIGMA, CONTRAST = 5.0, 0.1  # a second peak stands out of the saddle by
 TRAIL_CONTRAST = 0.5  # in light as long as a trail's noise makes peaks: this part of itself then
 LEAST_TO_JUDGE = 6  # fewer pixels tell no elongation
 COLUMNS = 11  # of what grow gives
+
+
+@compiled
+def fill_thresholds(expected, noise, whole, blocked, seed, lowest):
+    """Fills seed (H, W) and lowest (H / ROWS_TOGETHER, W) of a threshold map; whole: the values are whole numbers. In expected
+    and noise (H, W) float32 pixels that cannot be used become NaN and 1."""
+    h, w = expected.shape
+    lowest[:] = blocked
+    for y in range(h):
+        line = lowest[y // ROWS_TOGETHER]
+        for x in range(w):
+            usable = noise[y, x] > 0 and noise[y, x] < np.inf and abs(expected[y, x]) < np.inf
+            if not usable:
+                expected[y, x], noise[y, x], seed[y, x] = np.nan, 1, blocked
+                continue
+            top = expected[y, x] + np.float32(SEED_SIGMA) * noise[y, x]
+            if whole:  # a value above the floor is above the threshold
+                top = np.floor(min(max(top, np.float32(0)), np.float32(blocked - 1)))
+            seed[y, x] = top
+            line[x] = min(line[x], seed[y, x])
 
 
 @compiled
