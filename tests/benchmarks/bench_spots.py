@@ -1,6 +1,7 @@
-"""Centroids against the Cramer-Rao bound with their error bars and cost; the time of a frame side by side with sep.
+"""Centroids against the Cramer-Rao bound with their error bars and cost; false alarms; the time of a frame beside sep
+and photutils.
 
-sep is left out with the reason where it is not installed; CALIBENCH_PEERS names a Python that has it.
+A peer is left out with the reason where it is not installed; CALIBENCH_PEERS names a Python that has them.
 """
 
 from __future__ import annotations
@@ -26,22 +27,32 @@ from calibench.spots.scene import Scene  # noqa: E402
 from calibench.stars.find_stars import FindState, find_stars  # noqa: E402
 
 SPOTS = 10_000
-PEER = """
+PEERS = {"sep": """
 import json, sys, time
 import numpy as np, sep
-out = {}
-for name in sys.argv[1:]:
-    data = np.load(name).astype(np.float32)
-    spent = []
-    for _ in range(9):
-        start = time.process_time()
-        background = sep.Background(data)
-        found = sep.extract(data - background, 5.0, err=background.globalrms)
-        sep.winpos(data - background, found["x"], found["y"], 0.8)
-        spent.append(time.process_time() - start)
-    out[name] = [1e3 * sorted(spent)[4], len(found)]
-print(json.dumps(out))
-"""
+data, spent = np.load(sys.argv[1]).astype(np.float32), []
+for _ in range(9):
+    start = time.process_time()
+    background = sep.Background(data)
+    found = sep.extract(data - background, 5.0, err=background.globalrms)
+    sep.winpos(data - background, found["x"], found["y"], 0.8)
+    spent.append(time.process_time() - start)
+print(json.dumps([1e3 * sorted(spent)[4], len(found)]))
+""", "photutils": """
+import json, sys, time
+import numpy as np
+from photutils.background import Background2D, MedianBackground
+from photutils.detection import DAOStarFinder
+data, spent = np.load(sys.argv[1]).astype(float), []
+for _ in range(3):
+    start = time.process_time()
+    background = Background2D(data, (32, 32), filter_size=(3, 3), bkg_estimator=MedianBackground())
+    found = DAOStarFinder(5.0 * background.background_rms_median, 2.0).find_stars(data - background.background)
+    spent.append(time.process_time() - start)
+print(json.dumps([1e3 * sorted(spent)[1], len(found)]))
+"""}
+# sky e-, read noise e-, DN per e-; 752 x 480
+NOISES = [(5, 1, 1), (5, 3, 1), (20, 1, 1), (20, 5, 1), (100, 2, 0.1), (100, 3, 1), (2000, 5, 0.1), (20, 2, 4)]
 
 
 def median_ms(job, rounds=31):
@@ -121,12 +132,39 @@ def test_time_of_a_frame(shape, tmp_path):
     print(f"\n{w} x {h}: series {series:.2f} ms, one frame alone {alone:.1f} ms, np.max {touch:.3f} ms, "
           f"map made {state.made} time(s)")
     np.save(tmp_path / "frame.npy", frames[0].data)
-    python = os.environ.get("CALIBENCH_PEERS")
-    if python is None or subprocess.run([python, "-c", "import sep"], check=False).returncode:
-        pytest.skip("sep is not installed (set CALIBENCH_PEERS to a Python that has it)")
-    answer = subprocess.run([python, "-c", PEER, str(tmp_path / "frame.npy")], capture_output=True, text=True, check=True)
-    ms, found = next(iter(json.loads(answer.stdout).values()))
-    print(f"sep {ms:.1f} ms ({found} found): {ms / series:.1f} times as long")
+    python, missing = os.environ.get("CALIBENCH_PEERS"), []
+    for name, script in PEERS.items():
+        if python is None or subprocess.run([python, "-c", f"import {name}"], check=False).returncode:
+            missing.append(name)
+            continue
+        answer = subprocess.run([python, "-W", "ignore", "-c", script, str(tmp_path / "frame.npy")], capture_output=True,
+                                text=True, check=True)
+        ms, found = json.loads(answer.stdout.splitlines()[-1])
+        print(f"{name} {ms:.1f} ms ({found} found): {ms / series:.1f} times as long")
+    if missing:
+        pytest.skip(f"{' and '.join(missing)} not installed (CALIBENCH_PEERS names a Python that has them)")
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_false_alarms_over_those_asked(known):
+    """375 are asked for in each case: good to 0.05."""
+    print(f"\ngain {'known' if known else 'unknown'}: sky e-, read e-, DN/e-, noise DN: false alarms obtained over asked")
+    shape, frames, asked = (480, 752), 25, 15.0
+    for sky, read, gain in NOISES:
+        rng, count = np.random.default_rng(1), 0
+        calmap = CalibrationMap(image_size_px=shape[::-1])
+        if known:
+            measured = frozenset(("offset_dn", "gain_dn_per_e", "read_noise_dn"))
+            calmap = CalibrationMap(image_size_px=shape[::-1], measured=measured, gain_dn_per_e=gain,
+                                    read_noise_dn=np.full(shape, read * gain, np.float32),
+                                    offset_dn=np.full(shape, 60, np.float32))
+        for _ in range(frames):
+            data = np.rint(60 + gain * (rng.poisson(sky, shape) + rng.normal(0, read, shape))).clip(0).astype(np.uint16)
+            frame = Frame(data=data, bit_depth=12, white_level_dn=4095.0, exposure_s=0.1)
+            count += len(find_stars(frame, calmap, FindState(false_alarms=asked)))
+        obtained = count / asked / frames
+        print(f"{sky:5} {read} {gain:4} {gain * np.sqrt(sky + read**2):6.2f}: {obtained:.2f}")
+        assert 0.5 < obtained < 2
 
 
 def test_poisson_is_what_the_open_folder_offers():
