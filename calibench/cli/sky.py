@@ -31,6 +31,8 @@ def solve(frames: Frames, map_: Map = None,
           track: Annotated[bool, typer.Option("--track", help="Frames follow each other: each from the one before.")] = False,
           catalogue: Annotated[Path | None, typer.Option(help="Star table of this camera, from `catalogue build`.")] = None,
           csv: Annotated[Path | None, typer.Option(help="Also write one line for each frame.")] = None,
+          report: Annotated[Path | None, typer.Option(help="Also write an HTML report of the series: sky plot, residual map, "
+                                                           "errors by kind.")] = None,
           json_: Json = False) -> None:
     """Where each frame looks: spots, star identification, attitude."""
     import math
@@ -69,6 +71,9 @@ def solve(frames: Frames, map_: Map = None,
     errors = series_errors_json(split(solutions))
     if csv:
         write_csv(csv, out, CSV_COLUMNS)
+    if report:
+        from ..session.series_report import write_series_report
+        write_series_report(report, solutions, calmap)
     if json_:
         print_json({"frames": out, "map": str(map_) if map_ else None, "identify": identify, "attitude": attitude,
                     "errors": errors})
