@@ -8,7 +8,9 @@ import numpy as np
 
 from ..records import Quantity
 from . import _nonuniformity as spatial
+from ._dark_below import DarkBelow, MapDark
 from ._defects import planes
+from ._flat_levels import FlatLevel
 from ._transfer import TransferPoint, gain
 
 NEED_A_LADDER = tuple(Quantity(name=name, value=None, unit=unit, source="EMVA 1288 release 4", reason=(
@@ -18,8 +20,8 @@ NEED_A_LADDER = tuple(Quantity(name=name, value=None, unit=unit, source="EMVA 12
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """Flats of one exposure and one light: mean and temporal variance (None: a single flat), (H, W) float32; the mean of each
-    frame; the dark below them (image, variance of it, where from); the share of saturated pixels."""
+    """The flats that the response is read from: mean, temporal variance (None: a single flat), signal above dark, the dark and
+    its variance, all (H, W) float32; the mean of each frame; where the dark is from."""
 
     exposure_s: float | None
     mean_dn: np.ndarray
@@ -29,16 +31,19 @@ class Level:
     dark_dn: np.ndarray
     dark_variance_dn2: np.ndarray
     dark_origin: str
-    saturated: float
+    signal_dn: np.ndarray
 
     @property
     def count(self) -> int:
         return len(self.levels_dn)
 
-    @property
-    def signal_dn(self) -> np.ndarray:
-        """(H, W) mean flat minus dark."""
-        return self.mean_dn - self.dark_dn
+
+def lit(level: FlatLevel, below: DarkBelow | MapDark) -> Level:
+    """A level with its images and the dark below it."""
+    dark, variance, origin = below.image(level.exposure_s)
+    return Level(exposure_s=level.exposure_s, mean_dn=level.mean_image_dn, variance_dn2=level.variance_image_dn2,
+                 freedom=level.freedom, levels_dn=level.levels_dn, dark_dn=dark, dark_variance_dn2=variance, dark_origin=origin,
+                 signal_dn=level.mean_image_dn - dark)
 
 
 def gain_quantities(points: list[TransferPoint]) -> tuple[Quantity, Quantity]:

@@ -16,20 +16,16 @@ import numpy as np
 from ..calmap.clusters import with_clusters
 from ..errors import BadInput
 from ..records import CalibrationMap, Frame, Measurement, Quantity
-from ._dark_levels import DarkLevel, DarkLevels
+from ._dark_below import DarkBelow, MapDark
 from ._darkness import check_dark
-from ._defects import defective_lines, flags, planes, typical
+from ._defects import defective_lines, flags, planes
 from ._dust import find_dust
-from ._flat_figures import NEED_A_LADDER, Level, gain_quantities, prnu
+from ._flat_figures import NEED_A_LADDER, Level, gain_quantities, lit, prnu
+from ._flat_levels import RIGHT_FILL, FlatLevel, FlatLevels
+from ._glance import glance
 from ._illumination import illumination
-from ._ladder import Ladder, fit
 from ._ledger import Ledger
-from ._stack import Accumulator
 from ._transfer import MAX_FILL, TransferPoint
-
-SAME_LEVEL = 0.05  # frames of one exposure whose means differ by less belong to one light level
-RIGHT_FILL = 0.5
-NEAR_HALF = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,30 +51,33 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     """
     settings = settings or Settings()
     ledger = Ledger(settings, "flat frames")
-    flats, darks, files = _collect(frames, ledger)
-    first = ledger.first
-    ladder = fit(darks, first.white_level_dn, np.nan) if darks else None
-    if not flats:
+    flats, darks = _collect(frames, ledger, settings)
+    first, levels = ledger.first, flats.levels
+    if not levels:
         raise BadInput("no flat frames among the frames", mend="give frames of an evenly lit field; darks alone are for `dark`")
-    names = [files[id(stack)] for _, stack in flats]
-    flats.reverse()
-    levels = [_level(*flats.pop(), ladder, calmap, first) for _ in names]  # the sums of each stack go as its level comes
-    usable = [v for v in levels if _verdict(v, first, settings) is None]
+    if darks is not None:
+        darks.check(first.white_level_dn)
+    below = darks or MapDark(calmap, first)
+    verdicts = [_verdict(v, below.level_dn(v.exposure_s), first, settings) for v in levels]
+    usable = [v for v, verdict in zip(levels, verdicts, strict=True) if verdict is None]
     if not usable:
-        raise BadInput("; ".join(dict.fromkeys(_verdict(v, first, settings) for v in levels)),
+        raise BadInput("; ".join(dict.fromkeys(verdicts)),
                        mend="were the folders of darks and flats swapped? else take flats of the exposure named above")
-    for level, of_level in zip(levels, names, strict=True):
-        if reason := _verdict(level, first, settings):
-            ledger.rejected += [(file, reason) for file in of_level]
-    best = _best(usable, first)
+    for level, reason in zip(levels, verdicts, strict=True):
+        if reason:
+            ledger.rejected += [(file, reason) for file in level.files]
+    kept = [v for v in usable if v.mean_image_dn is not None]
+    if not kept:
+        raise BadInput("the brightest flats are mostly dark signal", mend="take flats of shorter exposure in more light")
+    best = lit(min(kept, key=flats.preference), below)
 
     smooth = illumination(best.signal_dn, first.bayer_pattern)
     response, uncertainty = _response(best, smooth, first.bayer_pattern)
     dead, cold = response < settings.dead, (response >= settings.dead) & (response < settings.cold)
     row, column = defective_lines(dead | cold)
     dust = find_dust(response, dead | cold)
-    points = [_point(v, ladder, calmap) for v in levels if v.freedom and _fill(v, first) < MAX_FILL]
-    points = [p for p in points if p is not None]
+    points = [_point(v, below) for v in levels
+              if v.freedom and below.noise_known and v.typical_dn < MAX_FILL * first.white_level_dn]
     gains = gain_quantities(points)
     layers = {"gain_dn_per_e": gains[0].value} if gains[0].value else {}
     if any(v.saturated > 0.5 for v in levels):
@@ -98,84 +97,36 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
                   "transfer_variance_dn2": np.array([p.variance_dn2 for p in points]),
                   "transfer_variance_uncertainty_dn2": np.array([p.variance_uncertainty_dn2 for p in points]),
                   "level_exposure_s": np.array([np.nan if v.exposure_s is None else v.exposure_s for v in levels]),
-                  "level_mean_dn": np.array([v.levels_dn.mean() for v in levels]),
+                  "level_mean_dn": np.array([v.level_dn for v in levels]),
                   "level_saturated": np.array([v.saturated for v in levels]),
                   "dust_xy_px": dust.xy_px, "dust_diameter_px": dust.diameter_px, "dust_depth": dust.depth,
                   "response_histogram_count": counts, "response_histogram_edge": edges},
-        provenance=ledger.provenance(), warnings=_warnings(ledger, levels, best, first, settings),
-        frames_used=sum(v.count for v in usable) + sum(v.count for v in (ladder.levels if ladder else ())),
+        provenance=ledger.provenance(), warnings=_warnings(ledger, verdicts, best, first),
+        frames_used=sum(v.count for v in usable) + sum(v.count for v in (darks.levels if darks else ())),
         frames_rejected=tuple(ledger.rejected))
 
 
-def _collect(frames: Iterable[Frame], ledger: Ledger) -> tuple[list[tuple], list[DarkLevel], dict[int, list[str]]]:
-    """Flat stacks as (exposure, stack) by exposure and light level, dark levels (of the temperature with most of them), files
-    by id of flat stack."""
-    files: dict[int, list[str]] = {}
-    flats: list[tuple[float | None, Accumulator]] = []
-    darks = DarkLevels()
+def _collect(frames: Iterable[Frame], ledger: Ledger, settings: Settings) -> tuple[FlatLevels, DarkBelow | None]:
+    """One pass: checks, the levels of light, and the darks of the temperature with most of them."""
+    flats = FlatLevels(settings.saturated)
     for frame in frames:
         if frame.kind == "dark":
             check_dark(frame)
-        if not ledger.take(frame):
-            continue
-        if frame.kind == "dark":
-            darks.add(frame)
-            continue
-        mean = float(frame.data.mean())
-        stack = next((s for t, s in flats if t == frame.exposure_s and abs(s.level_dn - mean) <= SAME_LEVEL * mean), None)
-        if stack is None:
-            stack = Accumulator()
-            flats.append((frame.exposure_s, stack))
-        stack.add(frame)
-        files.setdefault(id(stack), []).append(frame.file or frame.name)
+        if ledger.take(frame):
+            flats.add(frame, glance(frame).level_dn)
     ledger.first  # noqa: B018  raises where there was no frame at all
-    return flats, max(darks.groups()[0], key=len, default=[]), files
+    return flats, flats.close()
 
 
-def _level(exposure_s: float | None, stack: Accumulator, ladder: Ladder | None, calmap: CalibrationMap | None,
-           first: Frame) -> Level:
-    series = stack.series()
-    if ladder is not None:
-        dark, variance, origin = ladder.at(exposure_s)
-    elif calmap is not None and "offset_dn" in calmap.measured:
-        if calmap.image_size_px != first.image_size_px:
-            raise BadInput(f"the map is of {calmap.image_size_px} px, the flats of {first.image_size_px} px")
-        dark, variance = calmap.offset_dn, calmap.offset_uncertainty_dn**2
-        origin = "offset of the map"
-        if exposure_s is not None and "dark_rate_dn_per_s" in calmap.measured:
-            dark = dark + exposure_s * calmap.dark_rate_dn_per_s
-            variance = variance + (exposure_s * calmap.dark_rate_uncertainty_dn_per_s) ** 2
-            origin = f"dark layers of the map at {exposure_s:g} s"
-    else:
-        raise BadInput("flats need darks: none are among the frames, and no map with dark layers was given",
-                       mend="add dark frames of the same exposure, or give --map with a measured dark")
-    mean = series.stack.mean_dn.astype(np.float32)
-    return Level(exposure_s=exposure_s, mean_dn=mean, variance_dn2=series.steady_variance_dn2 if series.freedom else None,
-                 freedom=series.freedom, levels_dn=series.levels_dn, dark_dn=dark, dark_variance_dn2=variance,
-                 dark_origin=origin, saturated=float(np.mean(mean >= first.white_level_dn * (1 - 1e-3))))
-
-
-def _fill(level: Level, first: Frame) -> float:
-    return typical(level.mean_dn) / first.white_level_dn
-
-
-def _best(levels: list[Level], first: Frame) -> Level:
-    """The level to read the response from: most frames around half of the range, else nearest to half."""
-    def preference(level: Level) -> tuple[int, float]:
-        off = abs(_fill(level, first) - RIGHT_FILL)
-        return (-level.count if off < NEAR_HALF else 0, off)
-    return min(levels, key=preference)
-
-
-def _verdict(level: Level, first: Frame, settings: Settings) -> str | None:
+def _verdict(level: FlatLevel, dark_dn: float, first: Frame, settings: Settings) -> str | None:
     """Why this level cannot be used, with the exposure that would be right; None: it can."""
-    signal, white = typical(level.signal_dn), first.white_level_dn
+    signal, white = level.typical_dn - dark_dn, first.white_level_dn
     if level.saturated > settings.saturated:
         what = f"{100 * level.saturated:.0f} % of the pixels are saturated"
-        factor = RIGHT_FILL * (white - float(np.median(level.dark_dn))) / max(signal, 1.0)
+        factor = RIGHT_FILL * (white - dark_dn) / max(signal, 1.0)
     elif signal < settings.dim * white:
         what = f"the flats are too dim: {signal:.1f} DN above dark, of {white:.0f}"
-        factor = RIGHT_FILL * (white - float(np.median(level.dark_dn))) / signal if signal > 0 else np.inf
+        factor = RIGHT_FILL * (white - dark_dn) / signal if signal > 0 else np.inf
     else:
         return None
     if level.exposure_s is None or not np.isfinite(factor):
@@ -198,26 +149,18 @@ def _response(level: Level, smooth: np.ndarray, bayer_pattern: str | None) -> tu
     return response, error
 
 
-def _point(level: Level, ladder: Ladder | None, calmap: CalibrationMap | None) -> TransferPoint | None:
-    """Photon transfer point; None where no dark variance is known."""
-    variance = float(np.mean(level.variance_dn2))
-    relative = np.sqrt(2 / (level.freedom * level.mean_dn.size))
-    if ladder is not None and ladder.noise_known:
-        nearest = min(range(len(ladder.levels)), key=lambda i: abs((ladder.exposure_s or (0,))[i] - (level.exposure_s or 0)))
-        dark = float(np.mean(ladder.variance_dn2[nearest]))
-    elif ladder is None and "read_noise_dn" in calmap.measured:
-        dark = float(np.mean(calmap.read_noise_dn.astype(float) ** 2))
-    else:
-        return None
-    return TransferPoint(signal_dn=float(np.mean(level.signal_dn)), variance_dn2=variance - dark,
-                         variance_uncertainty_dn2=float(relative * np.hypot(variance, dark)))
+def _point(level: FlatLevel, below: DarkBelow | MapDark) -> TransferPoint:
+    dark = below.noise_dn2(level.exposure_s)
+    relative = np.sqrt(2 / (level.freedom * below.pixels))
+    return TransferPoint(signal_dn=level.level_dn - below.level_dn(level.exposure_s), variance_dn2=level.variance_dn2 - dark,
+                         variance_uncertainty_dn2=float(relative * np.hypot(level.variance_dn2, dark)))
 
 
-def _warnings(ledger: Ledger, levels: list[Level], best: Level, first: Frame, settings: Settings) -> tuple[str, ...]:
+def _warnings(ledger: Ledger, verdicts: list[str | None], best: Level, first: Frame) -> tuple[str, ...]:
     out = list(ledger.warnings)
     if first.bit_depth <= 8:
         out.append("8-bit flats: quantisation hides the pixel response")
-    out += [f"left out: {why}" for v in levels if (why := _verdict(v, first, settings))]
+    out += [f"left out: {why}" for why in verdicts if why]
     if not (best.dark_origin.startswith("darks of") or best.dark_origin.startswith("dark layers")):
         out.append(f"dark below the flats: {best.dark_origin}")
     if best.exposure_s is None:
