@@ -34,7 +34,7 @@ def test_errors_are_one_json_object_too(tmp_path):
 
 @pytest.mark.parametrize("arguments", [
     ("dark",), ("nonsense",), ("intrinsics", "x", "--board", "nine", "--square-mm", "25"),
-    ("solve", "x", "--identify", "liebe"), ("solve", "x", "--attitude", "triad2"), ("solve", "x", "--identify", "pyramid"),
+    ("solve", "x", "--identify", "stars"), ("solve", "x", "--attitude", "triad2"), ("solve", "x", "--identify", "pyramid"),
     ("simulate", "session", "d", "--plan", "huge"),
     ("intrinsics", "x", "--board", "9x6", "--square-mm", "25", "--model", "brown99")])
 def test_usage_is_exit_two(arguments, tmp_path):

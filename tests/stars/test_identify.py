@@ -131,7 +131,7 @@ def test_too_few_spots_say_so(sky):
 
 def test_an_unknown_method_answers_with_the_known_ones(sky):
     with pytest.raises(UsageError, match="pattern.*pyramid"):
-        LostInSpace(sky=sky, method="liebe").identify(spots_of(np.ones((9, 2)), np.ones(9), 0.2), SIZE, lens=thesis_lens())
+        LostInSpace(sky=sky, method="stars").identify(spots_of(np.ones((9, 2)), np.ones(9), 0.2), SIZE, lens=thesis_lens())
 
 
 def test_sky_directions_are_astropys():
