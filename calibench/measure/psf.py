@@ -86,6 +86,11 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     psf, fitted, why_not = _with_shape(psf, [s.windows for s in found], used, gain.dn_per_e, settings)
     if why_not:
         warnings.append(f"the PSF map holds a Gaussian only: {why_not}")
+    aside = _set_aside(found) | {"with moments unlike the others": int((~used).sum())}
+    if fitted is not None:
+        aside["of a shape unlike the others (blend, ghost, drifting source)"] = int((~fitted.used).sum())
+    if any(aside.values()):
+        warnings.append(f"spots set aside: {_listed({reason: n for reason, n in aside.items() if n})}")
     ee_radius, ee = encircled(found)
     flux = np.concatenate([s.flux_dn for s in found])
     unit = gain.dn_per_e if np.isfinite(gain.dn_per_e) else 1.0
@@ -100,18 +105,24 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         frames_used=len(found), frames_rejected=tuple(ledger.rejected))
 
 
+def _set_aside(found: list[SpotShapes]) -> dict[str, int]:
+    """Reason -> how many spots of all frames."""
+    reasons = list(dict.fromkeys(reason for each in found for reason in each.rejected))
+    counts = {reason: sum(each.rejected.get(reason, 0) for each in found) for reason in reasons}
+    return {reason: count for reason, count in counts.items() if count}
+
+
+def _listed(reasons: dict[str, int]) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "none"
+
+
 def _check(found: list[SpotShapes], settings: Settings) -> None:
-    usable = sum(len(s.xy_px) for s in found)
-    reasons: dict[str, int] = {}
-    for each in found:
-        for reason, count in each.rejected.items():
-            reasons[reason] = reasons.get(reason, 0) + count
+    usable, reasons = sum(len(s.xy_px) for s in found), _set_aside(found)
     if reasons.get("saturated", 0) > usable:
         raise BadInput(f"{reasons['saturated']} spots are saturated, {usable} are not", mend="shorten the exposure: the "
                        "brightest pixel of a spot should reach 50 to 80 % of the range")
     if usable < settings.least_spots:
-        listed = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count) or "none"
-        raise BadInput(f"{usable} usable spots, {settings.least_spots} are the least (set aside: {listed})",
+        raise BadInput(f"{usable} usable spots, {settings.least_spots} are the least (set aside: {_listed(reasons)})",
                        mend="use more pinholes or frames, in focus, sharp and well apart")
 
 
