@@ -18,6 +18,7 @@ from pathlib import Path, PurePosixPath
 
 from ..errors import BadInput, SeveralProblems
 from ..records import Frame
+from .file_bytes import free_spare
 from .frames import read_frame
 from .metadata import FrameMetadata
 
@@ -84,6 +85,7 @@ def described_frames(descriptor: Descriptor) -> Iterator[Frame]:
             raise BadInput(f"is {w} x {h} px, but {descriptor.file.name} says n ... {said_w} {said_h}", file=said.path,
                            mend="correct the line n of the descriptor")
         yield dataclasses.replace(frame, photons_per_px=said.photons)
+    free_spare()
 
 
 class _Parser:

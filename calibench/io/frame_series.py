@@ -13,6 +13,7 @@ from pathlib import Path
 
 from ..errors import BadInput
 from ..records import Frame
+from .file_bytes import free_spare
 from .frame_seen import FrameSeen, seen
 from .read_ahead import read_ahead
 from .series_checks import Groups, aligned_alike, check_series, duplicate_noted, refuse_automatic
@@ -98,6 +99,7 @@ class FrameSeries:
             if frame.data.nbytes * len(self._paths) <= KEPT_BYTES:
                 self._kept[path] = frame
             yield path, frame
+        free_spare()
 
     def _one(self, path: Path) -> Frame | BadInput:
         if path in self._kept:
