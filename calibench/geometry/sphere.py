@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..records import Observer, Refraction
@@ -38,8 +40,12 @@ def north_and_east(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def position_angle(at: np.ndarray, towards: np.ndarray) -> float:
     """Position angle, rad in (-pi, pi], east of north, of the direction `towards` (3,) seen from `at` (3,)."""
-    north, east = north_and_east(at)
-    return float(np.arctan2(np.dot(towards, east), np.dot(towards, north)))
+    (x, y, z), (u, v, w) = np.asarray(at, float).tolist(), np.asarray(towards, float).tolist()
+    length2 = x * x + y * y + z * z
+    if math.hypot(x, y) <= 1e-12 * math.sqrt(length2):
+        north, east = north_and_east(at)
+        return float(np.arctan2(np.dot(towards, east), np.dot(towards, north)))
+    return math.atan2((x * v - y * u) * math.sqrt(length2), w * length2 - z * (x * u + y * v + z * w))
 
 
 def camera_pointing_at(ra_rad: float, dec_rad: float, roll_rad: float) -> np.ndarray:

@@ -99,5 +99,6 @@ def find_attitude(found: Identification, method: str, *, calibrated: bool) -> At
 def _misses(residual: np.ndarray, found: Identification, calibrated: bool) -> np.ndarray:
     """How many sigma each star (M,) misses by: of its own error, and of the frame's typical one where that is larger."""
     d2 = kernels.misses2(residual, found.covariance_px2, model_variance_px2(calibrated))
-    typical = max(float(np.median(d2)) / (2 * np.log(2)), 1.0)  # the median of chi^2 with two degrees of freedom is 2 ln 2
+    middle = float(np.partition(d2, len(d2) // 2)[len(d2) // 2])
+    typical = max(middle / (2 * np.log(2)), 1.0)  # the median of chi^2 with two degrees of freedom is 2 ln 2
     return np.sqrt(d2 / typical)
