@@ -34,6 +34,7 @@ DEGREES = (4, 3, 2, 1, 0)
 ANNULUS_PX = 0.2
 GROUPS = 8
 PHASES = 4
+CORE_PER_SIGMA = (0.6, 1.5), (1.1, 0.8)  # series' scale over the Gaussian's, by its sigma in px: found on rendered lenses
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,7 +165,8 @@ def _with_shape(psf: PsfMap, cut_out: list[Windows], used: np.ndarray, gain: flo
                            f"{100 * settings.dither:.0f} %: move the source by fractions of a pixel")
     gain = gain if np.isfinite(gain) else 0.0
     moments = moments_at(psf, spots.xy_px)
-    scale = float(np.sqrt(np.median(moments[:, :2])))
+    sigma = float(np.sqrt(np.median(moments[:, :2])))
+    scale = sigma * float(np.interp(sigma, *CORE_PER_SIGMA))
     fitted = fit_shape(spots, psf.image_size_px, gain_dn_per_e=gain, scale_px=scale, pinhole_px=settings.pinhole_px,
                        dither_coverage=coverage)
     if fitted.used.sum() < settings.shape_spots:

@@ -18,13 +18,13 @@ from calibench.spots.centroid.kernels import fit_shapes
 
 SIZE = (752, 480)
 CENTRE = {"centre_px": (379.8, 236.6), "corner_radius_px": 446.0, "lambda_n_px": 0.4}
-CASES = {  # lens, core scale, half width of the windows
+CASES = {  # lens, core scale, half width of the windows; a Gaussian fits sigma 0.50, 0.40 and 1.48 px on the axis
     "nominal": (Pupil(coma_waves=0.055, astigmatism_waves=0.13, curvature_waves=0.05, diffusion_sigma_px=0.42, **CENTRE),
                 0.55, 5),
-    "undersampled": (Pupil(coma_waves=0.03, astigmatism_waves=0.06, curvature_waves=0.03, diffusion_sigma_px=0.25, **CENTRE),
-                     0.4, 4),
-    "defocused": (Pupil(coma_waves=0.08, astigmatism_waves=0.15, defocus_waves=0.5, curvature_waves=0.1, diffusion_sigma_px=0.9,
-                        **CENTRE), 1.35, 7)}
+    "undersampled": (Pupil(coma_waves=0.03, astigmatism_waves=0.06, curvature_waves=0.03, diffusion_sigma_px=0.31, **CENTRE),
+                     0.45, 4),
+    "defocused": (Pupil(coma_waves=0.08, astigmatism_waves=0.15, defocus_waves=0.44, curvature_waves=0.1,
+                        diffusion_sigma_px=0.8, **CENTRE), 1.2, 7)}
 
 
 def outward_of(lens, xy):
