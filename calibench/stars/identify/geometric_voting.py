@@ -26,7 +26,7 @@ SPOTS = (10, 16, 24)  # the brightest, then more where they led nowhere
 
 
 def propose(view: View, sky: SkyCatalogue, table: StarPairs) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Correspondences (B, 2) spot rows, (B, 2) star rows."""
+    """Correspondences (B, 3) spot rows, (B, 3) star rows."""
     votes = np.zeros((min(SPOTS[-1], len(view.directions)), len(sky.directions)), np.int32)
     done = 0
     for last in SPOTS:
@@ -42,4 +42,5 @@ def propose(view: View, sky: SkyCatalogue, table: StarPairs) -> Iterator[tuple[n
                 votes[j, both_orders] += 1
         done = last
         stars = [_votes.most_voted(row) for row in votes[:last]]
-        yield from _votes.agreeing_pairs(view, sky, np.repeat(np.arange(last), [len(s) for s in stars]), np.concatenate(stars))
+        spot = np.repeat(np.arange(last), [len(s) for s in stars])
+        yield from _votes.agreeing_triples(view, sky, spot, np.concatenate(stars))

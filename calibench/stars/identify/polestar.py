@@ -59,12 +59,12 @@ def votes(view: View, table: Table, spots: _neighbourhoods.Neighbourhoods, stars
 
 
 def propose(view: View, sky: SkyCatalogue, table: Table) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Correspondences (B, 2) spot rows, (B, 2) star rows."""
+    """Correspondences (B, 3) spot rows, (B, 3) star rows."""
     radius = len(table.start) * float(table.width[0])
     for last in SPOTS:
         spots = _neighbourhoods.neighbourhoods(view.directions[:last], radius)
         poles = np.arange(min(last, len(view.directions)))
         stars = [_votes.most_voted(votes(view, table, spots.of(pole), len(sky.directions))) for pole in poles]
-        yield from _votes.agreeing_pairs(view, sky, np.repeat(poles, [len(s) for s in stars]), np.concatenate(stars))
+        yield from _votes.agreeing_triples(view, sky, np.repeat(poles, [len(s) for s in stars]), np.concatenate(stars))
         if last >= len(view.directions):
             return
