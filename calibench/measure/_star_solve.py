@@ -17,9 +17,10 @@ from ..records import Identification, Intrinsics
 from ._board_lens import with_model
 from ._bundle import covariance
 from ._bundle.adjust import COARSE, FINE, Solution, adjust, evaluated
-from ._bundle.outliers import SETTLING, Rejection, without_outliers
+from ._bundle.outliers import Rejection, without_outliers
 from ._bundle.star_frames import StarFrames
 
+SETTLING = 1e-5  # of the cost: what a step may foresee while stars still change sides, and where a lens only serves to compare
 FIRST_EXTRA_SD_PX = 0.3
 ROUNDS = 4
 SETTLED = 0.01
@@ -66,7 +67,8 @@ def solve(lens: Intrinsics, found: Sequence[Identification], model: str, *, reje
     for _ in range(ROUNDS):
         before, extra = extra, _extra_sd_px(solution, frames)
         weighted = _weighted(solution.blocks[0], frames, extra)
-        solution = without_outliers(adjust(solution.intrinsics, [weighted], tolerance=COARSE), rejection, tolerance=tolerance)
+        solution = without_outliers(adjust(solution.intrinsics, [weighted], tolerance=COARSE), rejection, tolerance=tolerance,
+                                    settling=SETTLING)
         if abs(extra - before) <= SETTLED * before:
             break
     return StarSolution(solution=solution, kept=kept, extra_sd_px=extra)

@@ -10,7 +10,6 @@ from ...errors import BadInput
 from .adjust import FINE, Solution, adjust
 
 ROUNDS = 12
-SETTLING = 1e-5  # of the cost: what a step may foresee while points still change sides
 MAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
 
 
@@ -23,15 +22,17 @@ class Rejection:
 
 
 def without_outliers(solution: Solution, rejection: Rejection, *, lens_fixed: bool = False,
-                     tolerance: float = FINE) -> Solution:
+                     tolerance: float = FINE, settling: float | None = None) -> Solution:
     """The adjustment with outliers at weight 0, from a first (coarse) solution over all points.
 
-    tolerance: of the adjustment, see `adjust`; while points still change sides SETTLING is enough.
+    tolerance: of the adjustment, see `adjust`. settling: a coarser one while points still change sides, which pays where they
+    do so for many rounds (stars) and costs an adjustment where they do not (boards); without it, `tolerance`.
 
     Raises:
         BadInput: the lens that fits folds before a point that counts.
     """
     given, fine = [block.weight for block in solution.blocks], False
+    coarse = max(tolerance, settling or tolerance)
     for tried in range(ROUNDS):
         keep = [_inliers(residual, block.weight, weight, rejection)
                 for residual, block, weight in zip(solution.residuals_px, solution.blocks, given, strict=True)]
@@ -39,9 +40,8 @@ def without_outliers(solution: Solution, rejection: Rejection, *, lens_fixed: bo
         if settled and fine:
             break
         blocks = [b.weighted(np.where(k, w, 0.0)) for b, k, w in zip(solution.blocks, keep, given, strict=True)]
-        fine = settled or tried == ROUNDS - 1
-        solution = adjust(solution.intrinsics, blocks, lens_fixed=lens_fixed,
-                          tolerance=tolerance if fine else max(tolerance, SETTLING))
+        fine = settled or coarse == tolerance or tried == ROUNDS - 1
+        solution = adjust(solution.intrinsics, blocks, lens_fixed=lens_fixed, tolerance=tolerance if fine else coarse)
     if solution.folds:
         raise BadInput(f"the lens model {solution.intrinsics.model} does not suit this lens: fitted, it folds inside the image",
                        mend="ask for a model of more terms, or for a fisheye")
