@@ -17,16 +17,16 @@ import numpy as np
 
 from ..calmap.clusters import with_clusters
 from ..records import CalibrationMap, Frame, Measurement, Provenance
-from . import _telegraph as telegraph
-from ._dark_defects import Fetch, Found, Rules, find_defects
-from ._dark_figures import quantities, read_noise_map
-from ._dark_levels import DarkLevel, DarkLevels
-from ._dark_temperatures import Temperatures, over_temperature
-from ._darkness import check_dark
+from ._dark import telegraph
+from ._dark.darkness import check_dark
+from ._dark.defects import Fetch, Found, Rules, find_defects
+from ._dark.figures import quantities, read_noise_map
+from ._dark.ladder import Ladder, fit
+from ._dark.levels import DarkLevel, DarkLevels
+from ._dark.temperatures import Temperatures, over_temperature
 from ._defects import flags, typical
+from ._frames.ledger import TEMPERATURE_DRIFT_C, Ledger
 from ._gain import Gain, known_gain
-from ._ladder import Ladder, fit
-from ._ledger import TEMPERATURE_DRIFT_C, Ledger
 
 NOT_AGAIN = "the frames cannot be read a second time: telegraph pixels and hits were not looked for"
 

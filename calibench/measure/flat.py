@@ -16,15 +16,15 @@ import numpy as np
 from ..calmap.clusters import with_clusters
 from ..errors import BadInput
 from ..records import CalibrationMap, Frame, Measurement, Quantity
-from ._dark_below import DarkBelow, MapDark
-from ._darkness import check_dark
+from ._dark.below import DarkBelow, MapDark
+from ._dark.darkness import check_dark
 from ._defects import defective_lines, flags, planes
-from ._dust import find_dust
-from ._flat_figures import NEED_A_LADDER, Level, gain_quantities, lit, prnu
-from ._flat_levels import RIGHT_FILL, FlatLevel, FlatLevels
-from ._glance import glance
-from ._illumination import illumination
-from ._ledger import Ledger
+from ._flat.dust import find_dust
+from ._flat.figures import NEED_A_LADDER, Level, gain_quantities, lit, prnu
+from ._flat.illumination import illumination
+from ._flat.levels import RIGHT_FILL, FlatLevel, FlatLevels
+from ._frames.glance import glance
+from ._frames.ledger import Ledger
 from ._transfer import MAX_FILL, TransferPoint
 
 

@@ -24,7 +24,7 @@ from ._bundle import covariance
 from ._bundle.adjust import Solution
 from ._bundle.outliers import Rejection
 from ._bundle.start import TILT as TILT_ADVICE
-from ._ledger import Ledger
+from ._frames.ledger import Ledger
 from ._lens_figures import left_out_figures, lens_quantities
 from .corners import _views as corner
 from .corners._target import Target, Unsettled

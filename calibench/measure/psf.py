@@ -21,11 +21,11 @@ from ..errors import BadInput
 from ..records import CENTRE_OF_MASS, CalibrationMap, Frame, Measurement, PsfMap, Quantity
 from ..spots.gaussian_fit import fit_gaussians
 from ..spots.psf import FWHM_PER_SIGMA, field_terms, moments_at
-from ._epsf import Fitted, Windows, fit_shape
+from ._frames.ledger import Ledger
 from ._gain import known_gain
-from ._ledger import Ledger
-from ._psf_figures import FIGURES, LEAST_LAMBDA_N_PX, figures, strehl
-from ._spot_shapes import SpotShapes, axes_px, shapes
+from ._psf.epsf import Fitted, Windows, fit_shape
+from ._psf.figures import FIGURES, LEAST_LAMBDA_N_PX, figures, strehl
+from ._psf.spot_shapes import SpotShapes, axes_px, shapes
 
 PIXEL_VARIANCE_PX2 = 1 / 12
 CLIP_SIGMA = 4.0

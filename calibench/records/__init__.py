@@ -20,9 +20,9 @@ from .sky import SPOT_FLAGS, STATUSES, Attitude, Identification, Spots, StarTabl
 from .station import Station
 
 __all__ = [
-    "CURVE_LAYERS", "DEFECT_FLAGS", "DISTORTION_NAMES", "IMAGE_LAYERS", "LAYERS", "SCALAR_LAYERS", "SPOT_FLAGS", "STATUSES",
-    "UNUSABLE",
-    "Attitude", "CalibrationMap", "Camera", "Conditions", "CorrectedFrame", "Frame", "FrameStack", "Identification",
-    "Intrinsics", "Limit", "Measurement", "Observer", "Provenance", "PsfMap", "Quantity", "Refraction", "Rolling", "Spots",
-    "StarTable", "Station", "Verdict",
+    "CENTRE_OF_MASS", "CURVE_LAYERS", "DEFECT_FLAGS", "DISTORTION_NAMES", "IMAGE_LAYERS", "LAYERS", "SCALAR_LAYERS",
+    "SPOT_FLAGS", "STATUSES", "UNUSABLE",
+    "Attitude", "CalibrationMap", "Camera", "Conditions", "CorrectedFrame", "Frame", "FrameStack", "HermiteShape",
+    "Identification", "Intrinsics", "Limit", "Measurement", "Observer", "Provenance", "PsfMap", "Quantity", "Refraction",
+    "Rolling", "Spots", "StarTable", "Station", "Verdict",
 ]

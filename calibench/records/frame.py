@@ -22,8 +22,8 @@ class Frame:
     gain_setting: the camera's setting, never e-/DN; egain_e_per_dn: e- per DN where a header states it.
     photons_per_px: mean number of photons that met a pixel in this exposure, where the bench knows its lamp.
     date_obs: ISO 8601, UTC, start of the exposure. station: place or velocity, air and shutter.
-    lossy: the file went through 8-bit or JPEG. range_assumed: no source states the converter's bits; bit_depth and white_level_dn are guesses. notes: what the reader
-    had to assume.
+    lossy: the file went through 8-bit or JPEG. range_assumed: no source states the converter's bits; bit_depth and
+    white_level_dn are guesses. notes: what the reader had to assume.
     """
 
     data: np.ndarray

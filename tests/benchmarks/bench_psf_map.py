@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from calibench.measure._epsf import Windows, fit_shape
+from calibench.measure._psf.epsf import Windows, fit_shape
 from calibench.simulate.pupil import Pupil, centroid_shift_px, stamps
 from calibench.spots import hermite
 from calibench.spots.centroid import psf_map

@@ -20,10 +20,10 @@ import tifffile
 from calibench.io.frame_series import FrameSeries
 from calibench.io.frames import read_frame
 from calibench.measure import dark
-from calibench.measure._darkness import check_dark
-from calibench.measure._glance import glance
-from calibench.measure._ledger import Ledger
-from calibench.measure._stack import BATCH, Accumulator
+from calibench.measure._dark.darkness import check_dark
+from calibench.measure._frames.glance import glance
+from calibench.measure._frames.ledger import Ledger
+from calibench.measure._frames.stack import BATCH, Accumulator
 from calibench.measure.kernels import add_frames
 from calibench.records import Frame
 

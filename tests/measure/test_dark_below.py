@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from calibench.errors import BadInput
-from calibench.measure import _dark_below
-from calibench.measure._dark_below import DarkBelow
-from calibench.measure._dark_levels import DarkLevel
+from calibench.measure._dark import below as module
+from calibench.measure._dark.below import DarkBelow
+from calibench.measure._dark.levels import DarkLevel
 
 SHAPE = (20, 30)
 
@@ -20,7 +20,7 @@ def level(exposure_s, count, seed=0, offset=100.0, rate=2.0):
 
 
 def test_the_line_is_that_of_least_squares_with_each_frame_counted(monkeypatch):
-    monkeypatch.setattr(_dark_below, "KEPT_BYTES", 0)  # one image is kept
+    monkeypatch.setattr(module, "KEPT_BYTES", 0)  # one image is kept
     levels = [level(t, n, seed=n) for t, n in ((0.1, 9), (1.0, 3), (2.5, 4), (6.0, 2))]
     below = DarkBelow()
     for one in levels:

@@ -7,10 +7,10 @@ import pytest
 
 from calibench.calmap.thermal import warming
 from calibench.measure import dark
-from calibench.measure._dark_levels import DarkLevels
+from calibench.measure._dark.levels import DarkLevels
+from calibench.measure._dark.null import fit_null
+from calibench.measure._dark.telegraph import confirmed, two_levels
 from calibench.measure._defects import defective_lines
-from calibench.measure._null import fit_null
-from calibench.measure._telegraph import confirmed, two_levels
 from calibench.records import DEFECT_FLAGS, Frame
 
 GAIN_DN_PER_E, OFFSET_DN, READ_E, RATE_E_PER_S = 0.5, 100.0, 4.0, 5.0

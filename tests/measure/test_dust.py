@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibench.measure._dust import find_dust
+from calibench.measure._flat.dust import find_dust
 
 SHAPE = (240, 320)
 PLACES = ((60.0, 50.0, 5.0, 0.03), (200.0, 120.0, 8.0, 0.015), (100.0, 190.0, 4.0, 0.08))  # x, y, sigma, depth

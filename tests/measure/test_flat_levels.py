@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibench.measure._flat_levels import FlatLevels
+from calibench.measure._flat.levels import FlatLevels
 from calibench.records import Frame
 
 SHAPE = (16, 20)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibench.measure._glance import glance
+from calibench.measure._frames.glance import glance
 from calibench.records import Frame
 
 

@@ -5,9 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from calibench.measure._dark_levels import DarkLevels
-from calibench.measure._open_stacks import BYTES_A_PIXEL, OpenStacks
-from calibench.measure._stack import BATCH
+from calibench.measure._dark.levels import DarkLevels
+from calibench.measure._frames.open_stacks import BYTES_A_PIXEL, OpenStacks
+from calibench.measure._frames.stack import BATCH
 from calibench.records import Frame
 
 SHAPE = (12, 20)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibench.measure import psf
-from calibench.measure._psf_figures import strehl
+from calibench.measure._psf.figures import strehl
 from calibench.records import CENTRE_OF_MASS, Frame
 from calibench.simulate.psf import centroid_px, render_sources
 from calibench.simulate.pupil import Pupil

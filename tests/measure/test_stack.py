@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibench.errors import BadInput
-from calibench.measure._stack import Accumulator, accumulate
+from calibench.measure._frames.stack import Accumulator, accumulate
 from calibench.records import Frame
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibench.measure._glance import glance
-from calibench.measure._ledger import Ledger
-from calibench.measure._watch import Watch
+from calibench.measure._frames.glance import glance
+from calibench.measure._frames.ledger import Ledger
+from calibench.measure._frames.watch import Watch
 from calibench.measure.dark import Settings
 from calibench.records import Frame
 

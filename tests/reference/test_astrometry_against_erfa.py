@@ -16,7 +16,7 @@ from calibench.io.star_table import load_star_table
 from calibench.records import Frame, Identification, Intrinsics, Observer, Station
 from calibench.stars.astrometry import as_observed
 from calibench.stars.frame_attitude import find_attitude
-from calibench.stars.sky_catalogue import star_directions
+from calibench.stars.sky_catalogue import SkyCatalogue, star_directions
 
 ARCSEC = 180 * 3600 / np.pi
 DATE = "2024-05-17T21:04:05"
@@ -112,7 +112,7 @@ def solved(table, rows, xy, observer):
     found = Identification(status="solved", method="", spot_rows=np.arange(m), star_rows=rows, xy_px=xy,
                            covariance_px2=np.tile(1e-6 * np.eye(2), (m, 1, 1)), direction_icrs=np.zeros((m, 3)),
                            intrinsics=LENS)
-    attitude = find_attitude(as_observed(found, table, observer), "q_method", calibrated=True)
+    attitude = find_attitude(as_observed(found, SkyCatalogue.seen_by(table, observer), observer), "q_method", calibrated=True)
     centre = projection.unproject(LENS, np.array([[(SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2]]))
     matrix = Rotation.from_quat(attitude.q_cam_icrs).as_matrix()
     return matrix, sphere.as_catalogued(centre @ matrix, observer)[0]

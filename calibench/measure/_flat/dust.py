@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from ._defects import core_sigma, typical
+from .._defects import core_sigma, typical
 
 SIDE_PX = 5
 SIGMA, LEAST_DEPTH = 4.0, 0.003

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..records import Frame
-from ._open_stacks import OPEN_BYTES, OpenStacks
-from ._stack import Accumulator, Series
+from ...records import Frame
+from .._frames.open_stacks import OPEN_BYTES, OpenStacks
+from .._frames.stack import Accumulator, Series
 
 GROUP_C = 1.5
 

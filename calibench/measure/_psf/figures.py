@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import j0, j1
 
-from ..records import PsfMap
-from ..spots import hermite
-from ..spots.gaussian_fit import fit_gaussians
-from ..spots.psf import light, moments_at
+from ...records import PsfMap
+from ...spots import hermite
+from ...spots.gaussian_fit import fit_gaussians
+from ...spots.psf import light, moments_at
 
 PLACES = (5, 5)
 FINE = 10  # samples a pixel

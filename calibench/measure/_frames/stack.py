@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import BadInput
-from ..records import Frame, FrameStack
-from ._glance import glance
-from .kernels import add_frames, steady_squares
+from ...errors import BadInput
+from ...records import Frame, FrameStack
+from ..kernels import add_frames, steady_squares
+from .glance import glance
 
 MIN_FRAMES_FOR_SLOPE = 4
 BATCH = 8

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import BadInput
-from ._dark_levels import DarkLevel
-from ._defects import core_sigma, typical
+from ...errors import BadInput
+from .._defects import core_sigma, typical
+from .levels import DarkLevel
 
 MAX_EXPOSURE_S = 86400.0
 MAX_RATE_E_PER_S = 1e5

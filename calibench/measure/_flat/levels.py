@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..records import Frame
-from ._dark_below import DarkBelow
-from ._dark_levels import DarkLevels, dark_level
-from ._defects import typical
-from ._open_stacks import OpenStacks
-from ._stack import Accumulator
+from ...records import Frame
+from .._dark.below import DarkBelow
+from .._dark.levels import DarkLevels, dark_level
+from .._defects import typical
+from .._frames.open_stacks import OpenStacks
+from .._frames.stack import Accumulator
 
 SAME_LEVEL = 0.05  # frames of one exposure whose means differ by less belong to one light level
 RIGHT_FILL, NEAR_HALF = 0.5, 0.2

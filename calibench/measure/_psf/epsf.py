@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from ..records import HermiteShape
-from ..spots import hermite
-from ..spots.psf import field_terms
+from ...records import HermiteShape
+from ...spots import hermite
+from ...spots.psf import field_terms
 
 ORDERS, DEGREES = (4, 6, 8), (1, 2, 3, 4)
 ROUGH, ROUGH_STEPS = (4, 2), 3

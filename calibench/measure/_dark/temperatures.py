@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ._dark_defects import Rules, above_mean_plus_sigma, hot_by_level
-from ._ladder import Ladder
-from ._thermal import Activation, activation
+from .defects import Rules, above_mean_plus_sigma, hot_by_level
+from .ladder import Ladder
+from .thermal import Activation, activation
 
 WITHOUT = "needs darks of two exposures or more at each of two temperatures"
 TOP_SHARE = 0.001  # the hottest pixels, whose own law is shown beside that of all

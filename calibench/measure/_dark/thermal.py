@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from ..calmap.thermal import BOLTZMANN_EV_PER_K, ZERO_C_K, warming
+from ...calmap.thermal import BOLTZMANN_EV_PER_K, ZERO_C_K, warming
 
 START_EV = 0.6
 MOST_EV = 3.0

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..records import Frame
-from ._glance import Glance
+from ...records import Frame
+from .glance import Glance
 
 SAME_LEVEL = 0.05  # frames further apart in level are not taken alike
 BEYOND_NOISE = 6.0

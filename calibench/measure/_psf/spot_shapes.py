@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..records import SPOT_FLAGS, UNUSABLE, CorrectedFrame, PsfMap
-from ..spots.background import background_and_noise
-from ..spots.find import find_spots
-from ..spots.gaussian_fit import fit_gaussians, windows
-from ._epsf import Windows
+from ...records import SPOT_FLAGS, UNUSABLE, CorrectedFrame, PsfMap
+from ...spots.background import background_and_noise
+from ...spots.find import find_spots
+from ...spots.gaussian_fit import fit_gaussians, windows
+from .epsf import Windows
 
 START_SIGMA_PX = 1.0
 SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX = 4, 12

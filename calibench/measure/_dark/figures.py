@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..records import Quantity
-from . import _nonuniformity as spatial
-from ._dark_defects import Found
-from ._dark_levels import DarkLevel
-from ._gain import Gain
-from ._ladder import QUANTISATION_DN2, Ladder
-from ._thermal import Activation
+from ...records import Quantity
+from .. import _nonuniformity as spatial
+from .._gain import Gain
+from .defects import Found
+from .ladder import QUANTISATION_DN2, Ladder
+from .levels import DarkLevel
+from .thermal import Activation
 
 FLOOR_VARIANCE_DN2 = 0.24  # EMVA 1288: below it quantisation hides the noise, and sigma_y.dark = 0.49 DN is an upper limit
 

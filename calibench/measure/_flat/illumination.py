@@ -12,8 +12,8 @@ import numpy as np
 from numpy.polynomial.polynomial import polygrid2d
 from scipy import ndimage
 
-from ..spots.psf import field_terms
-from ._defects import block_statistic, planes
+from ...spots.psf import field_terms
+from .._defects import block_statistic, planes
 
 BLOCKS_ON_SHORT_SIDE = 24
 DEGREE = 4

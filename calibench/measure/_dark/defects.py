@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import ndtri
 
-from . import _defects as defect
-from . import _telegraph as telegraph
-from ._dark_levels import DarkLevel
-from ._ladder import QUANTISATION_DN2, Ladder
-from ._null import Null, fit_null
+from .. import _defects as defect
+from . import telegraph
+from .ladder import QUANTISATION_DN2, Ladder
+from .levels import DarkLevel
+from .null import Null, fit_null
 
 THESIS_SIGMA = 5.0
 FOUND_SHARE = 0.99  # the detection limit is the excess that is found with this probability

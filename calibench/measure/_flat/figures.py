@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..records import Quantity
-from . import _nonuniformity as spatial
-from ._dark_below import DarkBelow, MapDark
-from ._defects import planes
-from ._flat_levels import FlatLevel
-from ._transfer import TransferPoint, gain
+from ...records import Quantity
+from .. import _nonuniformity as spatial
+from .._dark.below import DarkBelow, MapDark
+from .._defects import planes
+from .._transfer import TransferPoint, gain
+from .levels import FlatLevel
 
 NEED_A_LADDER = tuple(Quantity(name=name, value=None, unit=unit, source="EMVA 1288 release 4", reason=(
     "needs a photon transfer series from dark to saturation, not flats of one level")) for name, unit in (

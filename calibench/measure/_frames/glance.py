@@ -10,9 +10,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ..errors import BadInput
-from ..records import Frame
-from .kernels import band_sums
+from ...errors import BadInput
+from ...records import Frame
+from ..kernels import band_sums
 
 BLOCK_PX = 32
 WIDEST_BITS = 21  # of one frame's values, for sums of many to stay exact

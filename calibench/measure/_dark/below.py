@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import BadInput
-from ..records import CalibrationMap, Frame
-from ._dark_levels import DarkLevel
-from ._defects import core_sigma
-from ._ladder import check_exposure, check_rate
+from ...errors import BadInput
+from ...records import CalibrationMap, Frame
+from .._defects import core_sigma
+from .ladder import check_exposure, check_rate
+from .levels import DarkLevel
 
 KEPT_BYTES = 60_000_000  # of mean images; at least one is kept
 SAME_EXPOSURE = 1e-6

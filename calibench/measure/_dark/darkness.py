@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import BadInput
-from ..records import Frame
-from ..spots.background import background_and_noise
-from ._glance import glance
+from ...errors import BadInput
+from ...records import Frame
+from ...spots.background import background_and_noise
+from .._frames.glance import glance
 
 MAX_LEVEL = 0.5  # of the range: beyond it no dark
 MAX_SATURATED = 0.01

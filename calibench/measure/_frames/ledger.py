@@ -7,10 +7,10 @@ import hashlib
 
 import numpy as np
 
-from ..errors import BadInput
-from ..records import Frame, Provenance
-from ._glance import glance
-from ._watch import Watch
+from ...errors import BadInput
+from ...records import Frame, Provenance
+from .glance import glance
+from .watch import Watch
 
 TEMPERATURE_DRIFT_C = 1.0
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator
 
-from ..records import Frame
-from ._stack import BATCH, Accumulator
+from ...records import Frame
+from .stack import BATCH, Accumulator
 
 OPEN_BYTES, BYTES_A_PIXEL = 250_000_000, 12  # what open stacks may take together; what the sums of one take as a rule
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from ..records import Frame
+from ...records import Frame
 
 LEAST_SURPLUS = 0.5  # of the typical variance; a step of 5 sigma on in 10 % of the frames makes 2.25
 SURPLUS_BY_CHANCE = 1e-5  # the share of normal pixels that are candidates
