@@ -62,7 +62,7 @@ def seen(frame: Frame) -> FrameSeen:
     """What a series' checks ask of this frame."""
     figures = {"level_dn": float("nan"), "noise_dn": float("nan")}
     if frame.kind in ("dark", "flat"):  # what claims nothing of its light is not asked for its level
-        from ..measure._glance import glance  # loads compiled code, which other frames do not need
+        from ..measure._frames.glance import glance  # loads compiled code, which other frames do not need
 
         figures |= {"level_dn": glance(frame).level_dn, "largest_dn": glance(frame).largest}
     else:
