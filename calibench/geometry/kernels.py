@@ -179,10 +179,9 @@ def direction_sigma(errors, width, height, xy, covariance_px2, model_sd_px):
 
 
 @compiled
-def solve_definite(a, b):
-    """a x = b for a symmetric positive definite a (n, n), of which the lower half is read; x into b. False: not definite."""
-    n = len(b)
-    for i in range(n):
+def factor_definite(a):
+    """Cholesky factor of a symmetric positive definite a (n, n), into its lower half, which alone is read. False: not one."""
+    for i in range(len(a)):
         for j in range(i + 1):
             total = a[i, j]
             for k in range(j):
@@ -193,12 +192,40 @@ def solve_definite(a, b):
                 a[i, i] = np.sqrt(total)
             else:
                 a[i, j] = total / a[j, j]
+    return True
+
+
+@compiled
+def solve_factored(factor, b):
+    """a x = b with a's factor from `factor_definite`; x into b."""
+    n = len(b)
     for i in range(n):
         for k in range(i):
-            b[i] -= a[i, k] * b[k]
-        b[i] /= a[i, i]
+            b[i] -= factor[i, k] * b[k]
+        b[i] /= factor[i, i]
     for i in range(n - 1, -1, -1):
         for k in range(i + 1, n):
-            b[i] -= a[k, i] * b[k]
-        b[i] /= a[i, i]
+            b[i] -= factor[k, i] * b[k]
+        b[i] /= factor[i, i]
+
+
+@compiled
+def solve_definite(a, b):
+    """a x = b for a symmetric positive definite a (n, n), of which the lower half is read; x into b. False: not definite."""
+    if not factor_definite(a):
+        return False
+    solve_factored(a, b)
     return True
+
+
+@compiled
+def inverse_of_first_two(factor, column):
+    """xx, yy, xy of the inverse of a matrix with that factor; column (n,) is overwritten."""
+    column[:] = 0.0
+    column[0] = 1.0
+    solve_factored(factor, column)
+    xx, xy = column[0], column[1]
+    column[:] = 0.0
+    column[1] = 1.0
+    solve_factored(factor, column)
+    return xx, column[1], xy

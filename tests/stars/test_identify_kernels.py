@@ -194,3 +194,8 @@ def test_a_definite_system_and_one_that_is_not():
     assert geometry.solve_definite(matrix.copy(), right)
     np.testing.assert_allclose(right, x, rtol=1e-8)
     assert not geometry.solve_definite(-matrix, right)
+    factor, inverse = matrix.copy(), np.linalg.inv(matrix)
+    assert geometry.factor_definite(factor)
+    np.testing.assert_allclose(np.tril(factor), np.linalg.cholesky(matrix), rtol=1e-10)
+    xx, yy, xy = geometry.inverse_of_first_two(factor, np.empty(6))
+    np.testing.assert_allclose((xx, yy, xy), (inverse[0, 0], inverse[1, 1], inverse[0, 1]), rtol=1e-8)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ...geometry.kernels import inverse_of_first_two, solve_definite
 from ...kernels import compiled
 
 STEPS = 8
@@ -59,31 +60,6 @@ def _add(core, order, x, x_slope, y, y_slope, pixels, unit, by_x, by_y, line, li
                 unit[j, i] += a * line[i]
                 by_x[j, i] += a * line_slope[i]
                 by_y[j, i] += b * line[i]
-
-
-@compiled
-def _solve4(a, b):
-    """Solves a x = b in place by Cholesky (a: 4 x 4, its lower triangle becomes the factor); False where not definite."""
-    for i in range(4):
-        for j in range(i + 1):
-            total = a[i, j]
-            for k in range(j):
-                total -= a[i, k] * a[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                a[i, i] = math.sqrt(total)
-            else:
-                a[i, j] = total / a[j, j]
-    for i in range(4):
-        for k in range(i):
-            b[i] -= a[i, k] * b[k]
-        b[i] /= a[i, i]
-    for i in range(3, -1, -1):
-        for k in range(i + 1, 4):
-            b[i] -= a[k, i] * b[k]
-        b[i] /= a[i, i]
-    return True
 
 
 @compiled
@@ -148,7 +124,7 @@ def fit_shapes(signal_dn, floor_dn2, bad, xy_px, core, wings, scale_px, wing_sca
                             normal[m, n] += weight * part[m] * part[n]
                     chi2 += weight * residual * residual
                     pixels += 1
-            if pixels < 5 or not _solve4(normal, right):
+            if pixels < 5 or not solve_definite(normal, right):
                 break
             length = math.hypot(right[0], right[1])
             shrink = min(1.0, LARGEST_STEP_PX / length) if length > 0.0 else 1.0
@@ -163,20 +139,7 @@ def fit_shapes(signal_dn, floor_dn2, bad, xy_px, core, wings, scale_px, wing_sca
                 break
         if settled and flux > 1e-6:
             out[s, 0], out[s, 1], out[s, 2], out[s, 3] = px, py, flux, background
-            for axis in range(2):  # columns of the inverse, from the factor that stands in `normal`
-                right[:] = 0.0
-                right[axis] = 1.0
-                for i in range(4):
-                    for k in range(i):
-                        right[i] -= normal[i, k] * right[k]
-                    right[i] /= normal[i, i]
-                for i in range(3, -1, -1):
-                    for k in range(i + 1, 4):
-                        right[i] -= normal[k, i] * right[k]
-                    right[i] /= normal[i, i]
-                out[s, 4 + axis] = right[axis]
-                if axis == 0:
-                    out[s, 6] = right[1]
+            out[s, 4], out[s, 5], out[s, 6] = inverse_of_first_two(normal, right)
             out[s, 7] = chi2 / max(pixels - 4, 1)
             out[s, 8] = pixels
     return out

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ....geometry.kernels import factor_definite, inverse_of_first_two, solve_definite
 from ....kernels import compiled
 
 DETECTED_SIGMA = 5.0  # of the light in 3 x 3 pixels over its noise
@@ -14,35 +15,6 @@ QUARTILES = 1.349  # distance of a Gaussian's quartiles, sigma
 SURPRISE = 3.0  # chi^2 this many sigma above its expectation widens the covariance
 NODE = 0.28867513459481287  # 2 x 2 Gauss-Legendre nodes of a pixel
 SHORT_PX = 0.5  # a trail shorter than this is a point
-
-
-@compiled
-def _solve4(m, b, x, column):
-    """Solve m x = b for a symmetric positive (4, 4) by Cholesky; column = 0, 1: b is replaced by that unit vector. False where
-    m is not positive."""
-    l = np.zeros((4, 4))
-    for i in range(4):
-        for j in range(i + 1):
-            total = m[i, j]
-            for k in range(j):
-                total -= l[i, k] * l[j, k]
-            if i == j:
-                if not total > 0:
-                    return False
-                l[i, i] = math.sqrt(total)
-            else:
-                l[i, j] = total / l[j, j]
-    for i in range(4):
-        total = b[i] if column < 0 else (1.0 if i == column else 0.0)
-        for k in range(i):
-            total -= l[i, k] * x[k]
-        x[i] = total / l[i, i]
-    for i in range(3, -1, -1):
-        total = x[i]
-        for k in range(i + 1, 4):
-            total -= l[k, i] * x[k]
-        x[i] = total / l[i, i]
-    return True
 
 
 @compiled
@@ -112,7 +84,7 @@ def measure_windows(data, level_dn, response, bad, saturation_dn, xy_px, shape_p
     side = 2 * half + 1
     signal, usable = np.empty((side, side)), np.empty((side, side), np.bool_)
     border, model, smooth = np.empty(4 * side), np.empty((3, n, n)), np.empty(3)
-    theta, gradient, step, slopes, normal = np.empty(4), np.empty(4), np.empty(4), np.empty(4), np.empty((4, 4))
+    theta, gradient, slopes, normal = np.empty(4), np.empty(4), np.empty(4), np.empty((4, 4))
     for k in range(len(xy_px)):
         x0, y0 = int(round(xy_px[k, 0])) - half, int(round(xy_px[k, 1])) - half
         if x0 + reach < 0 or y0 + reach < 0 or x0 + half + radius >= w or y0 + half + radius >= h:
@@ -201,16 +173,15 @@ def measure_windows(data, level_dn, response, bad, saturation_dn, xy_px, shape_p
                             normal[p, q] += weight * slopes[p] * slopes[q]
                     chi2 += weight * rest * rest
             if turn < steps:
-                good = good and _solve4(normal, gradient, step, -1)
+                good = good and solve_definite(normal, gradient)
                 for p in range(4):
-                    theta[p] += step[p]
-        if not good or not theta[2] > 0 or not _solve4(normal, gradient, step, 0):
+                    theta[p] += gradient[p]
+        if not good or not theta[2] > 0 or not factor_definite(normal):
             continue
         freedom = n * n - 4
         scale = chi2 / freedom if chi2 > freedom + SURPRISE * math.sqrt(2.0 * freedom) else 1.0
         out[k, 0], out[k, 1] = x0 + theta[0], y0 + theta[1]
-        out[k, 2], out[k, 4] = step[0] * scale, step[1] * scale
-        _solve4(normal, gradient, step, 1)
-        out[k, 3] = step[1] * scale
+        xx, yy, xy = inverse_of_first_two(normal, gradient)
+        out[k, 2], out[k, 3], out[k, 4] = xx * scale, yy * scale, xy * scale
         out[k, 5], out[k, 6], out[k, 7] = theta[2], theta[2] * model[0, radius, radius], theta[3]
     return out
