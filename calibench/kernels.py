@@ -19,6 +19,11 @@ def compiled(kernel: Callable) -> Callable:
     return numba.njit(cache=True, nogil=True, error_model="numpy")(kernel)
 
 
+def any_order(kernel: Callable) -> Callable:
+    """As `compiled`; sums may be reordered, so that they fill the vector unit. NaN and infinity keep their meaning."""
+    return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})(kernel)
+
+
 class _Announcement(event.Listener):
     """Says once in a process, on stderr, that kernels are being compiled: else the first frame only looks slow."""
 

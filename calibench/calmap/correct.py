@@ -19,7 +19,8 @@ from .conditions import outside_conditions, unchecked_conditions
 from .dark_signal import dark_seconds, without_harmless
 from .linearise import linearise
 
-__all__ = ["correct", "interpolate_defects", "outside_conditions", "require_size", "unchecked_conditions"]
+__all__ = ["correct", "interpolate_defects", "outside_conditions", "read_variance_dn2", "require_size", "saturation_of",
+           "unchecked_conditions"]
 
 # Variance of rounding to whole DN (EMVA 1288, sigma_q^2).
 QUANTISATION_DN2 = 1 / 12
@@ -35,6 +36,22 @@ def require_size(frame: Frame, calmap: CalibrationMap) -> None:
         (w, h), (map_w, map_h) = frame.image_size_px, calmap.image_size_px
         raise BadInput(f"the frame is {w} x {h} pixels, the map {map_w} x {map_h}", file=frame.file or None,
                        mend="use the map of this camera at this binning and window")
+
+
+def saturation_of(frame: Frame, calmap: CalibrationMap) -> float:
+    """Level (DN) from which a pixel of this frame is saturated: the white level or the measured saturation, the lower one.
+
+    Where no source states the converter's bits, those of the map's own frames count.
+    """
+    white_dn = frame.white_level_dn
+    if frame.range_assumed and calmap.conditions.bit_depth is not None:
+        white_dn = min(white_dn, 2.0**calmap.conditions.bit_depth - 1)
+    return float(min(white_dn, calmap.saturation_dn))
+
+
+def read_variance_dn2(calmap: CalibrationMap) -> np.ndarray:
+    """(H, W) variance of the read noise layer, at least that of rounding."""
+    return np.maximum(calmap.read_noise_dn**2, np.float32(QUANTISATION_DN2))
 
 
 def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
@@ -68,15 +85,12 @@ def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
 
     responds = calmap.response > 0
     response = np.where(responds, calmap.response, np.float32(1))
-    white_dn = frame.white_level_dn
-    if frame.range_assumed and calmap.conditions.bit_depth is not None:
-        white_dn = min(white_dn, 2.0**calmap.conditions.bit_depth - 1)
-    saturated = frame.data >= min(white_dn, calmap.saturation_dn)
+    saturated = frame.data >= saturation_of(frame, calmap)
     defects = defects | saturated * np.uint16(DEFECT_FLAGS["saturated"])
     defects |= ~responds * np.uint16(DEFECT_FLAGS["dead"])
 
     if "read_noise_dn" in calmap.measured:
-        variance_dn2 = slope**2 * np.maximum(calmap.read_noise_dn**2, np.float32(QUANTISATION_DN2))
+        variance_dn2 = slope**2 * read_variance_dn2(calmap)
         if "gain_dn_per_e" in calmap.measured:
             variance_dn2 = variance_dn2 + np.float32(calmap.gain_dn_per_e) * np.maximum(charge_dn, 0)
         variance_dn2 = variance_dn2 / response**2

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..records import DEFECT_FLAGS, CalibrationMap, Frame
-from .correct import QUANTISATION_DN2, require_size
+from .correct import read_variance_dn2, require_size, saturation_of
 from .dark_signal import dark_seconds, without_harmless
 from .kernels import correct_windows
 
@@ -65,15 +65,11 @@ class WindowLayers:
             responds = calmap.response > 0
             response = np.where(responds, calmap.response, np.float32(1))
             defects = defects | ~responds * np.uint16(DEFECT_FLAGS["dead"])
-        read = (np.maximum(calmap.read_noise_dn**2, np.float32(QUANTISATION_DN2)) if "read_noise_dn" in calmap.measured
-                else None)
+        read = read_variance_dn2(calmap) if "read_noise_dn" in calmap.measured else None
         curve = (tuple(np.ascontiguousarray(calmap.linearity_dn.T, np.float32)) if "linearity_dn" in calmap.measured
                  else (NOTHING, NOTHING))
-        white_dn = frame.white_level_dn
-        if frame.range_assumed and calmap.conditions.bit_depth is not None:
-            white_dn = min(white_dn, 2.0**calmap.conditions.bit_depth - 1)
         return cls(offset_dn=offset, dark_dn=dark, response=response, read_variance_dn2=read, curve_dn=curve,
-                   defects=np.array(defects, np.uint16, order="C"), saturation_dn=float(min(white_dn, calmap.saturation_dn)))
+                   defects=np.array(defects, np.uint16, order="C"), saturation_dn=saturation_of(frame, calmap))
 
     def windows(self, data: np.ndarray, centre_xy: np.ndarray, radius: int) -> Windows:
         """Windows of 2 radius + 1 pixels about integer centres (N, 2) of a frame's data (H, W), corrected as `correct` does."""

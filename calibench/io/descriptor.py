@@ -29,10 +29,9 @@ FORMS = {"n": "n bits width height", "b": "b exposure_ns photons", "d": "d expos
 
 @dataclass(frozen=True, kw_only=True)
 class DescribedFrame:
-    """One image of the descriptor and what its block says. line: where it stands."""
+    """One image of the descriptor and what its block says."""
 
     path: Path
-    line: int
     kind: str
     exposure_s: float
     photons: float
@@ -150,7 +149,7 @@ class _Parser:
             self._wrong(line, f"there is no file {inside}")
         else:
             kind, exposure_ns, photons = self._block
-            self._frames.append(DescribedFrame(path=file, line=line, kind=kind, exposure_s=exposure_ns * 1e-9, photons=photons))
+            self._frames.append(DescribedFrame(path=file, kind=kind, exposure_s=exposure_ns * 1e-9, photons=photons))
 
     def _wrong(self, line: int, what: str) -> None:
         self._problems.append((f"line {line}", what))

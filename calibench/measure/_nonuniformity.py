@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 
 BINOMIAL = np.array([0.25, 0.5, 0.25])
+KINDS = {"raw": "no high-pass, all pixels", "1288": "EMVA 1288 R4 Linear 8, high-passed, all pixels",
+         "core": "high-passed, interquartile range"}
 
 
 def _noise_gain(dimensions: int) -> float:
@@ -57,21 +59,22 @@ def spatial_raw(mean: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
     return _corrected(float(np.var(mean, ddof=1)), temporal_variance_of_mean, mean.size)
 
 
-def spatial_1288(mean: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
-    """All pixels, high-passed (release 4)."""
-    return _corrected(float(np.var(high_pass(mean), ddof=1)), NOISE_GAIN * temporal_variance_of_mean, mean.size)
+def spatial_1288(filtered: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
+    """All pixels of a mean image that went through `high_pass` (release 4)."""
+    return _corrected(float(np.var(filtered, ddof=1)), NOISE_GAIN * temporal_variance_of_mean, filtered.size)
 
 
-def spatial_core(mean: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
-    """The bulk of the pixels: high-passed, scale from the interquartile range, so that few defects do not carry it."""
-    return core(high_pass(mean), temporal_variance_of_mean)
-
-
-def core(filtered: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
-    """As `spatial_core`, from a mean image that went through `high_pass`."""
+def spatial_core(filtered: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
+    """The bulk of the pixels after `high_pass`: scale from the interquartile range, so that few defects do not carry it."""
     low, high = np.percentile(filtered, (25, 75))
     sigma = float(high - low) / 1.34898
     return _corrected(sigma**2, NOISE_GAIN * temporal_variance_of_mean, filtered.size, efficiency=0.37)
+
+
+def of_each_kind(mean: np.ndarray, temporal_variance_of_mean: float) -> dict[str, Spatial]:
+    """The nonuniformity of a mean image by KINDS, filtered once."""
+    filtered, t = high_pass(mean), temporal_variance_of_mean
+    return {"raw": spatial_raw(mean, t), "1288": spatial_1288(filtered, t), "core": spatial_core(filtered, t)}
 
 
 def split(image: np.ndarray, temporal_variance_of_mean: float, *, filtered: bool) -> Parts:

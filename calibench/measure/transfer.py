@@ -181,8 +181,8 @@ def _warnings(ledger: Ledger, planes: dict[str, Plane], settings: Settings, line
                    "off the temporal noise, as the standard has it")
     for name, plane in planes.items():
         which = f"plane {name}: " if name else ""
-        if plane.gain_remark:
-            out.append(f"{which}gain: {plane.gain_remark}")
+        if plane.gain.reason:
+            out.append(f"{which}gain: {plane.gain.reason}")
         smear = 2 * sum(figure.value for figure in plane.correlation)
         if abs(smear) > CORRELATED and abs(smear) > CORRELATED_SIGMA * 2 * np.hypot(*(f.error for f in plane.correlation)):
             right, lower = (f"{figure.value:+.3f}" for figure in plane.correlation)

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from math import erf, sqrt
 
-import numba
 import numpy as np
 
-from ..kernels import compiled
+from ..kernels import any_order, compiled
 from ..records import SPOT_FLAGS
-
-# Sums may be reordered, so that they fill the vector unit; NaN and infinity keep their meaning.
-fast = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 
 CLIP_SIGMA = 3.5  # at 3 the mean of skewed noise (a dark sky's few electrons) would lie 0.04 sigma * skewness too low
 CLIP_ROUNDS = 6
@@ -148,7 +144,7 @@ def cell_statistics(image, cell, floor):
     return level, noise
 
 
-@fast
+@any_order
 def _clipped(values, us, vs, middle, spread, floor):
     """Level at the centre, noise and slopes, clipped about a plane; the pixels stand on a grid, so slopes decouple."""
     along_x = along_y = np.float32(0)
@@ -198,7 +194,7 @@ def to_pixels(cells, cell, height, width):
     return out
 
 
-@fast
+@any_order
 def drift(data, expected, noise, cell, every, columns_sum, level, count, smooth):
     """How far a frame (H, W) lies above the expectation, from every `every`-th row.
 

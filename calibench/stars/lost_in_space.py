@@ -141,7 +141,7 @@ class LostInSpace:
         xy, covariance = spots.xy_px[match.spot_rows], spots.covariance_px2[match.spot_rows]
         directions, lens = self.sky.directions[match.star_rows], match.intrinsics
         if not calibrated:
-            lens = refine(lens, match.matrix, xy, covariance, directions, GUESSED_MODEL_SD_PX).intrinsics
+            lens = refine(lens, match.matrix, xy, covariance, directions, GUESSED_MODEL_SD_PX)
         return Identification(status="solved", method=self.method, spot_rows=match.spot_rows, star_rows=match.star_rows,
                               xy_px=xy, covariance_px2=covariance, direction_icrs=directions, intrinsics=lens,
                               false_match_probability=match.false_match_probability)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,24 +11,15 @@ from ..records import Intrinsics
 from .guess.kernels import FIT_STEPS, HUBER_SIGMA, K1_FROM, K2_FROM, K_PRIOR_SD
 
 
-@dataclass(frozen=True, kw_only=True)
-class Refined:
-    """rotation (3, 3), intrinsics, covariance (P, P) of (rotation vector in camera axes, lens terms), residual_px (M, 2)."""
-
-    rotation: np.ndarray
-    intrinsics: Intrinsics
-    covariance: np.ndarray
-    residual_px: np.ndarray
-
-
 def _lens_columns(free: int) -> list[list[int]]:
     """Which columns of d_xy_d_parameters make up each free lens term: common focal length, k1, k2."""
     return [[0, 1], [4], [5]][:free]
 
 
 def refine(lens: Intrinsics, start: np.ndarray, xy_px: np.ndarray, covariance_px2: np.ndarray, directions: np.ndarray,
-           model_sd_px: float) -> Refined:
-    """Fit to matched spots (M, 2) with covariance (M, 2, 2) and star directions (M, 3), from a brown4 lens and a rotation.
+           model_sd_px: float) -> Intrinsics:
+    """The lens, with covariance, that fits together with an attitude to matched spots (M, 2) with covariance (M, 2, 2) and star
+    directions (M, 3), from a brown4 lens and a rotation.
 
     Focal length, and k1 and k2 as the number of matches allows, are free. model_sd_px: what the lens model itself may be off,
     added to every spot.
@@ -59,10 +50,7 @@ def refine(lens: Intrinsics, start: np.ndarray, xy_px: np.ndarray, covariance_px
         terms = terms + step[3:]
         focal = max(terms[0], 0.1 * lens.fx_px)
         lens = replace(lens, fx_px=focal, fy_px=focal, distortion=np.concatenate([terms[1:], lens.distortion[free - 1:]]))
-    covariance = np.linalg.inv(normal)
-    lens = replace(lens, covariance=_lens_covariance(lens, covariance[3:, 3:]))
-    return Refined(rotation=rotation.nearest_rotation(matrix), intrinsics=lens, covariance=covariance,
-                   residual_px=np.where(seen[:, None], xy_px - projection.project(lens, directions @ matrix.T), np.nan))
+    return replace(lens, covariance=_lens_covariance(lens, np.linalg.inv(normal)[3:, 3:]))
 
 
 def _lens_covariance(lens: Intrinsics, fitted: np.ndarray) -> np.ndarray:

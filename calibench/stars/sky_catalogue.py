@@ -68,13 +68,12 @@ class StarGrid(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SkyCatalogue:
-    """directions (N, 3) as seen, magnitude (N,) Hp, brightest first; tree over the directions (chord distance)."""
+    """directions (N, 3) as seen, magnitude (N,) Hp, brightest first."""
 
     table: StarTable
     observer: Observer
     directions: np.ndarray
     magnitude: np.ndarray
-    tree: cKDTree
 
     @classmethod
     def seen_by(cls, table: StarTable, observer: Observer) -> SkyCatalogue:
@@ -82,8 +81,12 @@ class SkyCatalogue:
         if np.any(np.diff(table.hp_mag) < 0):
             order = np.argsort(table.hp_mag, kind="stable")
             table, directions = table.take(order), directions[order]
-        return cls(table=table, observer=observer, directions=directions, magnitude=table.hp_mag.astype(float),
-                   tree=cKDTree(directions))
+        return cls(table=table, observer=observer, directions=directions, magnitude=table.hp_mag.astype(float))
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Over the directions, by chord distance."""
+        return cKDTree(self.directions)
 
     @cached_property
     def _rest(self) -> Rest:
@@ -122,4 +125,4 @@ def merged(table: StarTable, separation_rad: float) -> SkyCatalogue:
     magnitude = -2.5 * np.log10(whole[kept])
     order = np.argsort(magnitude, kind="stable")
     return SkyCatalogue(table=sky.table.take(np.flatnonzero(kept)[order]), observer=sky.observer, directions=directions[order],
-                        magnitude=magnitude[order], tree=cKDTree(directions[order]))
+                        magnitude=magnitude[order])

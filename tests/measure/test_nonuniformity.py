@@ -28,15 +28,15 @@ def test_lamp_fall_off_goes_and_pixel_pattern_stays():
     y, x = np.mgrid[:300, :400]
     mean = 1000 - 1e-3 * ((x - 200) ** 2 + (y - 150) ** 2) + rng.normal(0, 5, x.shape) + rng.normal(0, 1, x.shape)
     assert spatial.spatial_raw(mean, 1.0).sd > 10
-    assert spatial.spatial_1288(mean, 1.0).sd == pytest.approx(5 * 0.98850**0.5, rel=0.02)
+    assert spatial.of_each_kind(mean, 1.0)["1288"].sd == pytest.approx(5 * 0.98850**0.5, rel=0.02)
 
 
 def test_defects_carry_the_standard_figure_and_not_the_core():
     rng = np.random.default_rng(3)
     mean = rng.normal(0, 2, (500, 500))
     mean[rng.random(mean.shape) < 1e-3] += 80
-    assert spatial.spatial_1288(mean, 0.0).sd > 3
-    assert spatial.spatial_core(mean, 0.0).sd == pytest.approx(2, rel=0.03)
+    assert spatial.of_each_kind(mean, 0.0)["1288"].sd > 3
+    assert spatial.of_each_kind(mean, 0.0)["core"].sd == pytest.approx(2, rel=0.03)
 
 
 def test_a_negative_variance_gives_zero_and_keeps_its_sign():
@@ -46,5 +46,5 @@ def test_a_negative_variance_gives_zero_and_keeps_its_sign():
 
 def test_error_bar_matches_the_scatter():
     rng = np.random.default_rng(5)
-    found = [spatial.spatial_1288(rng.normal(0, 2, (64, 64)) + rng.normal(0, 1, (64, 64)), 1.0) for _ in range(200)]
+    found = [spatial.of_each_kind(rng.normal(0, 2, (64, 64)) + rng.normal(0, 1, (64, 64)), 1.0)["1288"] for _ in range(200)]
     assert np.std([f.sd for f in found]) == pytest.approx(np.mean([f.uncertainty for f in found]), rel=0.2)

@@ -12,8 +12,7 @@ import numpy as np
 
 from ...errors import BadInput
 from ...records import CalibrationMap, Frame
-from .._defects import core_sigma
-from .ladder import check_exposure, check_rate
+from .ladder import check_exposure, check_rate, most_variance_dn2
 from .levels import DarkLevel
 
 KEPT_BYTES = 60_000_000  # of mean images; at least one is kept
@@ -133,8 +132,7 @@ class DarkBelow:
         """(H, W) temporal variance of one frame; without repeats an upper limit from the scatter over the image."""
         if self._freedom:
             return self._noise / np.float32(self._freedom)
-        mean = self._kept[0][1]
-        return np.full(mean.shape, float(np.median(core_sigma(mean - np.median(mean), None))) ** 2, np.float32)
+        return most_variance_dn2(self._kept[0][1])
 
 
 def _same(a: float | None, b: float | None) -> bool:

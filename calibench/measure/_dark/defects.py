@@ -44,12 +44,10 @@ class Rules:
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """masks: (H, W) bool by flag. threshold: z from which a pixel is significant. detection_limit: (value, spread over the
-    image) of the smallest excess found with FOUND_SHARE."""
+    """masks: (H, W) bool by flag. detection_limit: (value, spread over the image) of the smallest excess found with
+    FOUND_SHARE."""
 
     masks: dict[str, np.ndarray]
-    null: Null
-    threshold: float
     detection_limit: tuple[float, float]
     evidence: dict[str, np.ndarray] = field(default_factory=dict)
 
@@ -93,7 +91,7 @@ def find_defects(ladder: Ladder, quiet: DarkLevel | None, rules: Rules, fetch: F
         "hot_above_limit_count": hot_by_level(ladder, rules),
         "z_histogram_count": counts, "z_histogram_edge": edges,
         "z_null": np.array([null.centre, null.scale, null.g, null.h, threshold])}
-    return Found(masks=masks, null=null, threshold=threshold, evidence=evidence,
+    return Found(masks=masks, evidence=evidence,
                  detection_limit=_detection_limit(scale, null, threshold, ladder, rules))
 
 

@@ -70,14 +70,13 @@ def _dsnu(ladder: Ladder, gain: Gain) -> list[Quantity]:
     at, out = ladder.levels[most], []
     temporal = float(np.mean(ladder.variance_dn2[most])) / at.count
     when = f"at {ladder.exposure_s[most]:g} s" if ladder.exposure_s else "exposure unknown"
-    for kind, function, text in (("raw", spatial.spatial_raw, "no high-pass, all pixels"),
-                                 ("1288", spatial.spatial_1288, "EMVA 1288 R4 Linear 8, high-passed, all pixels"),
-                                 ("core", spatial.spatial_core, "high-passed, interquartile range")):
+    by_kind = spatial.of_each_kind(at.mean_dn, temporal) if ladder.noise_known else {}
+    for kind, text in spatial.KINDS.items():
         if not ladder.noise_known:
             out += gain.both(f"dsnu_{kind}_dn", f"dsnu_{kind}_e", None, None, "DN", "e-", symbol="DSNU",
                              source=text, reason="one frame only: temporal noise unknown")
             continue
-        found = function(at.mean_dn, temporal)
+        found = by_kind[kind]
         note = "" if found.signed_variance >= 0 else f"negative variance estimate {found.signed_variance:.3g} DN^2, given as 0"
         out += gain.both(f"dsnu_{kind}_dn", f"dsnu_{kind}_e", found.sd, found.uncertainty, "DN", "e-", symbol="DSNU",
                          source=f"{text}; {when}", reason=note)

@@ -50,24 +50,6 @@ class Ladder:
         stated = [level.temperature_c for level in self.levels if level.temperature_c is not None]
         return float(np.mean(stated)) if stated else None
 
-    def at(self, exposure_s: float | None) -> tuple[np.ndarray, np.ndarray, str]:
-        """Dark image (H, W), its variance, and how it was had: the stack of that exposure, or the line.
-
-        Raises:
-            BadInput: the exposure is neither in the ladder nor can the ladder be interpolated.
-        """
-        for i, t in enumerate(self.exposure_s or ()):
-            if exposure_s is not None and abs(t - exposure_s) <= 1e-6 * t:
-                level = self.levels[i]
-                return level.mean_dn, self.variance_dn2[i] / level.count, f"darks of {t:g} s"
-        if self.exposure_s is None or exposure_s is None:
-            return self.offset_dn, self.offset_variance_dn2, "darks taken as matching: exposure unknown"
-        if self.rate_dn_per_s is None:
-            raise BadInput(f"flats of {exposure_s:g} s, but darks of {self.exposure_s[0]:g} s only",
-                           mend="add darks of the flats' exposure, or of several exposures")
-        return (self.offset_dn + exposure_s * self.rate_dn_per_s, self.offset_variance_dn2 + exposure_s**2 * self.rate_variance,
-                f"dark ladder interpolated to {exposure_s:g} s")
-
     def departures(self) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
         """For each exposure: (exposure in s, mean image minus line (H, W), variance of the mean image). Needs a rate."""
         for t, level, variance in zip(self.exposure_s, self.levels, self.variance_dn2, strict=True):
@@ -113,8 +95,12 @@ def _variance(level: DarkLevel, known: list[DarkLevel]) -> np.ndarray:
         return level.variance_dn2
     if known:
         return known[0].variance_dn2
-    mean = level.mean_dn
-    return np.full(mean.shape, float(np.median(core_sigma(mean - np.median(mean), None))) ** 2, np.float32)
+    return most_variance_dn2(level.mean_dn)
+
+
+def most_variance_dn2(mean_dn: np.ndarray) -> np.ndarray:
+    """(H, W) upper limit of the temporal variance where no frame is repeated: from the scatter over the image."""
+    return np.full(mean_dn.shape, float(np.median(core_sigma(mean_dn - np.median(mean_dn), None))) ** 2, np.float32)
 
 
 def _line(t: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -24,13 +24,12 @@ MOST_G, MOST_H = 1.0, 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class Null:
-    """Tukey's g-and-h of the normal pixels' z, and the share of the pixels that are not of it (to the right)."""
+    """Tukey's g-and-h of the normal pixels' z."""
 
     centre: float
     scale: float
     g: float
     h: float
-    apart: float
 
     def quantile(self, u: np.ndarray | float) -> np.ndarray | float:
         """z that stands where u stands in the standard normal distribution."""
@@ -51,7 +50,7 @@ def fit_null(z: np.ndarray) -> Null:
         used = below > FEWEST_BELOW
         u, quantiles = nodes[used], ordered[below[used].astype(int)].astype(float)
         if len(u) < 2 * len(found):  # too few pixels for a shape of their own
-            return Null(centre=float(np.median(ordered)), scale=_scale(ordered), g=0.0, h=0.0, apart=0.0)
+            return Null(centre=float(np.median(ordered)), scale=_scale(ordered), g=0.0, h=0.0)
         weight = np.exp(-(u**2) / 2) / np.sqrt(ndtr(u) * ndtr(-u))  # one over the error of a quantile, but for a factor
         start = np.array([np.median(ordered), max(_scale(ordered), 1e-12), *found[2:]])
 
@@ -64,7 +63,7 @@ def fit_null(z: np.ndarray) -> Null:
         beyond = found[0] + found[1] * _g_and_h(APART_U, found[2], found[3])
         apart = max(0.0, 1 - np.searchsorted(ordered, beyond) / ordered.size - ndtr(-APART_U))
     centre, scale, g, h = (float(v) for v in found)
-    return Null(centre=centre, scale=scale, g=g, h=h, apart=float(apart))
+    return Null(centre=centre, scale=scale, g=g, h=h)
 
 
 def _g_and_h(u: np.ndarray | float, g: float, h: float) -> np.ndarray | float:

@@ -66,23 +66,24 @@ def gain_quantities(points: list[TransferPoint]) -> tuple[Quantity, Quantity]:
 def prnu(level: Level, bayer_pattern: str | None) -> list[Quantity]:
     """PRNU raw, release 4 and core, in % of the signal; the mean variance over the Bayer planes."""
     out = []
-    for kind, function, text in (("raw", spatial.spatial_raw, "no high-pass, all pixels: lamp fall-off and dust included"),
-                                 ("1288", spatial.spatial_1288, "EMVA 1288 R4 Linear 8, high-passed, all pixels"),
-                                 ("core", spatial.spatial_core, "high-passed, interquartile range")):
+    by_plane = [_by_kind(level, plane) for plane in planes(level.dark_dn.shape, bayer_pattern)] if level.freedom else []
+    for kind, text in (spatial.KINDS | {"raw": f"{spatial.KINDS['raw']}: lamp fall-off and dust included"}).items():
         name = f"prnu_{kind}_percent"
         if not level.freedom:
             out.append(Quantity(name=name, value=None, unit="%", symbol="PRNU", source=text,
                                 reason="one flat only: temporal noise unknown"))
             continue
-        parts = []
-        for plane in planes(level.dark_dn.shape, bayer_pattern):
-            temporal = float(np.mean(level.variance_dn2[plane])) / level.count
-            bright = function(level.mean_dn[plane], temporal)
-            dark = function(level.dark_dn[plane], float(np.mean(level.dark_variance_dn2[plane])))
-            parts.append(spatial.difference(bright, dark, float(np.mean(level.signal_dn[plane]))))
-        found = spatial.pooled(parts)
+        found = spatial.pooled([of_kind[kind] for of_kind in by_plane])
         percent2 = 1e4 * found.signed_variance
         note = "" if percent2 >= 0 else f"negative variance estimate {percent2:.3g} %^2, given as 0"
         out.append(Quantity(name=name, value=100 * found.sd, uncertainty=100 * found.uncertainty, unit="%", symbol="PRNU",
                             source=text, reason=note))
     return out
+
+
+def _by_kind(level: Level, plane: tuple[slice, slice]) -> dict[str, spatial.Spatial]:
+    """PRNU of one Bayer plane by kind."""
+    bright = spatial.of_each_kind(level.mean_dn[plane], float(np.mean(level.variance_dn2[plane])) / level.count)
+    dark = spatial.of_each_kind(level.dark_dn[plane], float(np.mean(level.dark_variance_dn2[plane])))
+    signal_dn = float(np.mean(level.signal_dn[plane]))
+    return {kind: spatial.difference(bright[kind], dark[kind], signal_dn) for kind in spatial.KINDS}

@@ -32,7 +32,6 @@ class Darks:
     mean_error_dn: np.ndarray
     variance_dn2: np.ndarray
     variance_error_dn2: np.ndarray
-    spatial_dn: float = 0.0
 
     def at(self, exposure_s: float | None) -> tuple[float, float, float, bool]:
         """Raises BadInput where the exposure is neither among the darks nor can be interpolated."""

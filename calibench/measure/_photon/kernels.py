@@ -6,12 +6,9 @@ fourth power, which only an error bar needs.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
-from ...kernels import compiled
-
-any_order = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+from ...kernels import any_order, compiled
 
 
 @compiled

@@ -40,7 +40,6 @@ class Plane:
     curve: Curve
     gain: Figure
     correlation: tuple[Figure, Figure]
-    gain_remark: str
 
 
 def analyse(levels: Sequence[Level], darks: Darks, dark: Image | None, bright: Image | None, white_level_dn: float) -> Plane:
@@ -107,8 +106,7 @@ def analyse(levels: Sequence[Level], darks: Darks, dark: Image | None, bright: I
         "snr": curve.signal_dn / np.sqrt(curve.noise_dn2.clip(1e-9)),
         "snr_total": charge / np.sqrt(other), "linear": linear.astype(np.uint8), "linearity_deviation_percent": deviation,
         "flicker": curve.flicker, "correlation": curve.correlation, **_dark_curve(darks), **patterns_shown}
-    return Plane(quantities=tuple(out.rows), evidence=evidence, curve=curve, gain=gain, correlation=neighbours,
-                 gain_remark=gain.reason)
+    return Plane(quantities=tuple(out.rows), evidence=evidence, curve=curve, gain=gain, correlation=neighbours)
 
 
 class _Sheet:
@@ -135,7 +133,7 @@ def _patterns(out: _Sheet, dark: Image | None, bright: Image | None, gain: Figur
         filtered = spatial.high_pass(image.mean_dn)
         t = image.temporal_dn2
         raw, passed = (vars(spatial.split(i, t, filtered=f)) for i, f in ((image.mean_dn, False), (filtered, True)))
-        found[what] = {"raw": raw, "1288": passed, "core": {"total": spatial.core(filtered, t)}}
+        found[what] = {"raw": raw, "1288": passed, "core": {"total": spatial.spatial_core(filtered, t)}}
         shown |= _shown(what, image, filtered)
     reason = "no dark frames at which the pattern could be read" if dark is None else "no lit stack"
     values = {"dsnu": 0.0, "prnu": 0.0}

@@ -230,11 +230,17 @@ def _assembled(normal: _Normal, terms: np.ndarray, rows: slice | np.ndarray) -> 
 
 def _solved(matrix: np.ndarray, right: np.ndarray, prior: np.ndarray | float = 0.0) -> np.ndarray:
     """Coefficients; prior: inverse variance of each about zero."""
+    conditioned, scale = _conditioned(matrix, prior)
+    return cho_solve(cho_factor(conditioned, lower=True, overwrite_a=True, check_finite=False), right * scale) * scale
+
+
+def _conditioned(matrix: np.ndarray, prior: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix with the prior on its diagonal, rows and columns scaled so that this is one, and the scale."""
     diagonal = np.diag(matrix) + prior
     scale = 1 / np.sqrt(np.maximum(diagonal, 1e-30))
     conditioned = matrix * scale[:, None] * scale
     conditioned[np.diag_indices_from(conditioned)] = diagonal * scale**2 + 1e-9
-    return cho_solve(cho_factor(conditioned, lower=True, overwrite_a=True, check_finite=False), right * scale) * scale
+    return conditioned, scale
 
 
 def _groups(degree: int) -> np.ndarray:
@@ -252,10 +258,7 @@ def _prior(matrix: np.ndarray, right: np.ndarray, groups: np.ndarray) -> np.ndar
     """
     prior = np.zeros(len(matrix))
     for _ in range(PRIOR_STEPS):
-        diagonal = np.diag(matrix) + prior
-        scale = 1 / np.sqrt(np.maximum(diagonal, 1e-30))
-        conditioned = matrix * scale[:, None] * scale
-        conditioned[np.diag_indices_from(conditioned)] = diagonal * scale**2 + 1e-9
+        conditioned, scale = _conditioned(matrix, prior)
         covariance = cho_solve(cho_factor(conditioned, lower=True, check_finite=False), np.eye(len(matrix)), check_finite=False)
         found = covariance @ (right * scale) * scale
         power = found**2 + np.diag(covariance) * scale**2

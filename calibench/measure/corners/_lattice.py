@@ -6,7 +6,6 @@ way back must be the same. Numbers go from corner to corner along such steps; a 
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from ._saddles import Saddles, circle, likeness, sampled
@@ -22,9 +21,10 @@ CLEAR = 0.3  # of the spacing: within that a corner looks the same after half a 
 LEAST_LIKENESS = 0.85
 
 
-def lattice(grey: np.ndarray, found: Saddles) -> tuple[np.ndarray, np.ndarray] | None:
+def lattice(smooth: np.ndarray, found: Saddles) -> tuple[np.ndarray, np.ndarray] | None:
     """Corners (N, 2) px and their columns and rows (N, 2), int, from 0, right-handed; None where no board is seen.
 
+    smooth: (H, W) float32, the view slightly blurred.
     The lattice says nothing of what lies beyond it: the first column seen may be any of the board's.
     """
     steps = _steps(found)
@@ -43,7 +43,7 @@ def lattice(grey: np.ndarray, found: Saddles) -> tuple[np.ndarray, np.ndarray] |
         xy, uv = xy[good], uv[good]
         if len(uv) < LEAST_CORNERS or (np.ptp(uv, axis=0) + 1 < LEAST_LINES).any():
             return None
-        clear = _clear(grey, xy, uv)
+        clear = _clear(smooth, xy, uv)
         if clear.all():
             return xy, uv - uv.min(axis=0)
         xy, uv = xy[clear], uv[clear]
@@ -118,9 +118,9 @@ def _whole_lines(uv: np.ndarray) -> np.ndarray:
     return good
 
 
-def _clear(grey: np.ndarray, xy: np.ndarray, uv: np.ndarray) -> np.ndarray:
+def _clear(smooth: np.ndarray, xy: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """(N,) corners on the smooth map of the board that nothing covers as far as a refinement may look."""
     axes, _, residual = local_map(xy, uv.astype(float))
     spacing = np.sqrt(np.abs(np.linalg.det(axes)))
-    ring = sampled(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.0), xy[:, None] + CLEAR * circle() @ axes.swapaxes(1, 2))
+    ring = sampled(smooth, xy[:, None] + CLEAR * circle() @ axes.swapaxes(1, 2))
     return (np.linalg.norm(residual, axis=1) < np.maximum(ROUGHEST * spacing, 1.0)) & (likeness(ring) > LEAST_LIKENESS)

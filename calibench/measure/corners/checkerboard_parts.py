@@ -37,11 +37,12 @@ def find(grey: np.ndarray, target: Target) -> np.ndarray | None:
     """
     by = -(-max(grey.shape) // LARGEST_PX)
     small = cv2.resize(grey, None, fx=1 / by, fy=1 / by, interpolation=cv2.INTER_AREA) if by > 1 else grey
-    seen = lattice(small, saddles(small))
+    smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), 1.0)
+    seen = lattice(smooth, saddles(small))
     if seen is None:
         return None
     xy, uv = seen
-    ends = _ends(small, xy, uv)
+    ends = _ends(smooth, xy, uv)
     sizes = np.ptp(uv, axis=0) + 1
     places = [(turned, *at) for turned in ((False, True) if target.board[0] != target.board[1] else (False,))
               for at in itertools.product(*(_starts(length, sizes[axis], *ends[axis]) for axis, length in
@@ -66,9 +67,8 @@ def _starts(length: int, seen: int, first: bool, last: bool) -> list[int]:
     return [s for s in starts if (not first or s == 0) and (not last or s == length - seen)]
 
 
-def _ends(grey: np.ndarray, xy: np.ndarray, uv: np.ndarray) -> list[tuple[bool, bool]]:
+def _ends(smooth: np.ndarray, xy: np.ndarray, uv: np.ndarray) -> list[tuple[bool, bool]]:
     """For columns and rows: whether the lattice's first is the board's, and its last."""
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.0)
     out = []
     for axis in (0, 1):
         last = int(uv[:, axis].max())

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from ...calmap.thermal import warming
+from ...measure._dark.null import Null
 from ...records import Measurement
 from ..draw import BLUE, FAINT, GREY, HALF, INK, ORANGE, RED, WIDE, png, sheet
 from ..numbers import number, percent, plural, stated, with_uncertainty
@@ -26,7 +27,7 @@ def null_histogram(measurement: Measurement) -> Figure | None:
     shown, largest = edges[:-1] < BROKEN_AXIS_Z, edges[np.flatnonzero(count)[-1] + 1]
     axes.stairs(count[shown] / np.diff(edges)[shown], edges[: shown.sum() + 1], fill=True, color=BLUE, alpha=0.85)
     u = np.linspace(-5, 5.5, 400)
-    z = centre + scale * (np.expm1(g * u) / g if g > 1e-6 else u) * np.exp(h * u**2 / 2)
+    z = Null(centre=centre, scale=scale, g=g, h=h).quantile(u)
     density = count.sum() * np.exp(-(u**2) / 2) / math.sqrt(2 * math.pi) / np.gradient(z, u)
     axes.plot(z, density, color=INK, linewidth=1, linestyle="--", label="normal pixels (fitted)")
     axes.axvline(threshold, color=RED, linewidth=1, label=f"threshold {number(threshold, 3)}")

@@ -11,7 +11,6 @@ from ..kernels import LONG
 
 # A Gaussian of 0.85 px over 3x3 pixels: within 15 % of the best signal-to-noise for stars of 0.4 to 1.5 px.
 SIDE = 0.5006
-CORNER = SIDE**2
 WEIGHT_SUM, WEIGHT_NORM = (1 + 2 * SIDE) ** 2, 1 + 2 * SIDE**2
 SEED_SIGMA = 3.0  # a spot's brightest pixel is above this
 SHARPEST = 0.85  # of the light of 3x3 pixels in one: a hot pixel or a particle, sharper than the optics of any star camera

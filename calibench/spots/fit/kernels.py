@@ -4,12 +4,7 @@ from __future__ import annotations
 
 from math import erf, exp, pi, sqrt
 
-import numba
-
-from ...kernels import compiled
-
-# Sums may be reordered, so that they fill the vector unit; NaN and infinity keep their meaning.
-fast = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+from ...kernels import any_order, compiled
 
 MOST_STEPS = 12
 LARGEST_STEP_PX = 0.7
@@ -20,7 +15,7 @@ LARGEST_ORDER = 8
 MISFIT_SIGMA = 3.0
 
 
-@fast
+@any_order
 def _profile(out, order, centre, sigma):
     """out[n, i]: integral over pixel i of He_n(z) phi(z) dz, z = (x - centre) / sigma, for n = 0 .. order + 1."""
     side = out.shape[1]
@@ -71,7 +66,7 @@ def _invert(a, low, inverse):
     return True
 
 
-@fast
+@any_order
 def _linear(data, usable, light, used):
     """Flux and background by plain least squares (they enter linearly): the start. Flux 0 where the data do not tell."""
     p1 = p2 = d1 = pd = 0.0
@@ -84,7 +79,7 @@ def _linear(data, usable, light, used):
     return flux, (d1 - flux * p1) / used
 
 
-@fast
+@any_order
 def _normal(data, usable, floor, light, by_x, by_y, flux, background, gain, model_error, normal, right):
     """Fills the normal matrix (4, 4) and the right side (4,) of one step; returns chi^2 before it."""
     xx = xy = yy = xf = yf = ff = xb = yb = fb = bb = rx = ry = rf = rb = chi2 = 0.0

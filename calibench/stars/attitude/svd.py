@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...geometry.rotation import nearest_rotation
 from ._davenport import effective_weights, profile_matrix
 
 __all__ = ["attitude", "effective_weights"]
@@ -15,7 +16,4 @@ def attitude(camera: np.ndarray, sky: np.ndarray, weights: np.ndarray) -> np.nda
     Raises:
         BadInput: fewer than two directions, or all parallel.
     """
-    u, _, vt = np.linalg.svd(profile_matrix(camera, sky, weights))
-    if np.linalg.det(u) * np.linalg.det(vt) < 0:
-        u = u * (1, 1, -1)
-    return u @ vt
+    return nearest_rotation(profile_matrix(camera, sky, weights))

@@ -22,7 +22,7 @@ from ...geometry import kernels as geometry_kernels
 from ...geometry import projection, rotation
 from ...records import SPOT_FLAGS, Attitude, Frame, Identification, Intrinsics, Observer, Spots
 from ..per_lens import lens_terms
-from ..sky_catalogue import SkyCatalogue, star_directions
+from ..sky_catalogue import SkyCatalogue
 from ..verify import ACCEPT
 from ..view import CALIBRATED_MODEL_SD_PX, GUESSED_MODEL_SD_PX
 from . import kernels
@@ -124,7 +124,7 @@ class Tracker:
             corners = projection.unproject(lens, np.array([[0.0, 0], [w - 1, 0], [0, h - 1], [w - 1, h - 1]]))
             radius = float(np.arccos(np.clip(corners[:, 2], -1, 1)).max()) + MARGIN_RAD
             rows = _alone(self.sky, self.sky.near(matrix[2], radius), CROWDED_PX / lens.fx_px)
-            self._field = Field(matrix[2].copy(), rows, star_directions(self.sky.table.take(rows), observer), observer)
+            self._field = Field(matrix[2].copy(), rows, self.sky.seen_at(rows, observer), observer)
         chosen, xy, by_v = self._on_frame(lens, matrix)
         directions = self._field.directions[chosen]
         if observer.rolling is not None:
