@@ -37,6 +37,8 @@ class FrameMetadata:
     white_level_dn: float | None = None
     pixel_size_um: float | None = None
     photons_per_px: float | None = None
+    focus_um: float | None = None
+    chief_rays_px: tuple[tuple[float, float], ...] | None = None
     station: Station | None = None
     alignment: str | None = None
 
@@ -94,7 +96,7 @@ def utc(date_obs: str) -> datetime:
 def _agree(name: str, a: object, b: object) -> bool:
     if name == "date_obs":
         return abs((utc(str(a)) - utc(str(b))).total_seconds()) < 1.0
-    if isinstance(a, Station):
+    if isinstance(a, (Station, tuple)):
         return a == b
     if isinstance(a, str):
         return a.strip().lower() == str(b).strip().lower()

@@ -71,6 +71,8 @@ def _metadata(said: Mapping[str, object]) -> FrameMetadata:
         values["exposure_s"] = exposure_from_rows(said["exposure_rows"], said["row_time_s"], said.get("overhead_s", 0.0))
     if "station" in values:
         values["station"] = station_of(values["station"])
+    if "chief_rays_px" in values:
+        values["chief_rays_px"] = tuple(tuple(place) for place in values["chief_rays_px"])
     if "kind" in values:
         values["kind"] = kind_of(values["kind"])
     if "bayer_pattern" in values:
@@ -160,6 +162,12 @@ def _one_of(*known: str) -> tuple[Callable[[object], bool], str]:
     return (lambda value: value in known), "one of " + ", ".join(known)
 
 
+def _are_places(value: object) -> bool:
+    number = _number()
+    return isinstance(value, list) and all(isinstance(place, list) and len(place) == 2 and all(map(number, place))
+                                           for place in value)
+
+
 def _is_date(value: object) -> bool:
     try:
         utc(value)
@@ -184,6 +192,7 @@ _RULES: dict[str, tuple[Callable[[object], bool], str]] = {
     "date_obs": (_is_date, "an ISO 8601 date in quotes, UTC"), "camera": _TEXT,
     "bit_depth": (_integer(1, 16), "a whole number of bits, 1 to 16"),
     "black_level_dn": _ANY_NUMBER, "white_level_dn": _POSITIVE, "pixel_size_um": _POSITIVE, "photons_per_px": _NOT_NEGATIVE,
+    "focus_um": _ANY_NUMBER, "chief_rays_px": (_are_places, "a list of places [x, y]"),
     "width": _PIXELS, "height": _PIXELS, "offset_bytes": (_integer(0, 2**40), "a whole number of bytes, at least 0"),
     "dtype": _one_of("uint8", "uint16", "float32"), "endianness": _one_of("little", "big"),
     "packing": _one_of(*PACKINGS), "alignment": _one_of("left", "right"),

@@ -21,6 +21,7 @@ class Frame:
     bit_depth: significant bits of the converter; saturation is `white_level_dn`.
     gain_setting: the camera's setting, never e-/DN; egain_e_per_dn: e- per DN where a header states it.
     photons_per_px: mean number of photons that met a pixel in this exposure, where the bench knows its lamp.
+    focus_um: reading of the focus stage. chief_rays_px: (N, 2) where the bench's stage puts the chief rays of its spots.
     date_obs: ISO 8601, UTC, start of the exposure. station: place or velocity, air and shutter.
     lossy: the file went through 8-bit or JPEG. range_assumed: no source states the converter's bits; bit_depth and
     white_level_dn are guesses. notes: what the reader had to assume.
@@ -38,6 +39,8 @@ class Frame:
     bayer_pattern: str | None = None
     pixel_size_um: float | None = None
     photons_per_px: float | None = None
+    focus_um: float | None = None
+    chief_rays_px: tuple[tuple[float, float], ...] | None = None
     date_obs: str | None = None
     camera: str | None = None
     station: Station | None = None

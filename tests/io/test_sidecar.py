@@ -68,3 +68,16 @@ def test_all_mistakes_at_once_with_their_paths(tmp_path: Path):
 def test_nonsense_is_refused(tmp_path: Path, text):
     with pytest.raises(BadInput, match="a.png.toml"):
         told(tmp_path, text)
+
+
+def test_focus_and_chief_rays_of_a_point_source_frame(tmp_path):
+    (tmp_path / "a.png.toml").write_text("focus_um = -12.5\nchief_rays_px = [[10, 20.5], [30.25, 4]]\n")
+    said = sidecar_of(tmp_path / "a.png").metadata
+    assert said.focus_um == -12.5 and said.chief_rays_px == ((10, 20.5), (30.25, 4))
+
+
+@pytest.mark.parametrize("places", ["[1, 2]", "[[1, 2, 3]]", '[["a", 2]]', "[[true, 2]]", "3"])
+def test_chief_rays_that_are_no_places_are_refused(tmp_path, places):
+    (tmp_path / "a.png.toml").write_text(f"chief_rays_px = {places}\n")
+    with pytest.raises(BadInput, match="a list of places"):
+        sidecar_of(tmp_path / "a.png")
