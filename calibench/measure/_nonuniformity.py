@@ -14,18 +14,23 @@ import cv2
 import numpy as np
 
 BINOMIAL = np.array([0.25, 0.5, 0.25])
+IQR_EFFICIENCY = 0.37  # information of the interquartile range against the sample variance, of normal values
 KINDS = {"raw": "no high-pass, all pixels", "1288": "EMVA 1288 R4 Linear 8, high-passed, all pixels",
          "core": "high-passed, interquartile range"}
 
 
-def _noise_gain(dimensions: int) -> float:
-    """Variance of filtered white noise over its variance: 1 - 2 h(0) + sum h^2, for the filter's impulse response."""
-    line = np.convolve(np.convolve(np.full(7, 1 / 7), np.full(11, 1 / 11)), BINOMIAL)
-    smooth = line if dimensions == 1 else np.outer(line, line)
-    return float(1 - 2 * smooth.max() + np.sum(smooth**2))
+def _noise_gain(dimensions: int) -> tuple[float, float]:
+    """Variance of filtered white noise over its variance: mean of g^2, g = 1 - H the filter's transfer function. With it how
+    much more that variance scatters than one of as many independent values, because neighbours are correlated:
+    mean of g^4 / (mean of g^2)^2."""
+    line = np.zeros(256)
+    line[:19] = np.convolve(np.convolve(np.full(7, 1 / 7), np.full(11, 1 / 11)), BINOMIAL)
+    smooth = np.fft.fft(np.roll(line, -9)).real
+    passed = (1 - (smooth if dimensions == 1 else np.outer(smooth, smooth))) ** 2
+    return float(passed.mean()), float(np.mean(passed**2) / passed.mean() ** 2)
 
 
-NOISE_GAIN, LINE_NOISE_GAIN = _noise_gain(2), _noise_gain(1)  # 0.98850, 0.88906
+(NOISE_GAIN, WIDER), (LINE_NOISE_GAIN, LINE_WIDER) = _noise_gain(2), _noise_gain(1)  # 0.98850, 1.009; 0.88906, 1.111
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,27 +59,23 @@ def high_pass(image: np.ndarray) -> np.ndarray:
     return image - cv2.sepFilter2D(smooth, -1, BINOMIAL, BINOMIAL, borderType=cv2.BORDER_REFLECT)
 
 
-def spatial_raw(mean: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
-    """All pixels, no filter."""
-    return _corrected(float(np.var(mean, ddof=1)), temporal_variance_of_mean, mean.size)
+def spatial_core(filtered: np.ndarray, temporal_variance_of_mean: float, of_all: Parts) -> Spatial:
+    """The bulk of the pixels after `high_pass`: scale from the interquartile range, so that few defects do not carry it.
 
-
-def spatial_1288(filtered: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
-    """All pixels of a mean image that went through `high_pass` (release 4)."""
-    return _corrected(float(np.var(filtered, ddof=1)), NOISE_GAIN * temporal_variance_of_mean, filtered.size)
-
-
-def spatial_core(filtered: np.ndarray, temporal_variance_of_mean: float) -> Spatial:
-    """The bulk of the pixels after `high_pass`: scale from the interquartile range, so that few defects do not carry it."""
+    of_all: the split of the same image, for the errors of rows and columns, of which there are few.
+    """
     low, high = np.percentile(filtered, (25, 75))
-    sigma = float(high - low) / 1.34898
-    return _corrected(sigma**2, NOISE_GAIN * temporal_variance_of_mean, filtered.size, efficiency=0.37)
+    measured = (float(high - low) / 1.34898) ** 2
+    of_pixels = measured * np.sqrt(2 * WIDER / (filtered.size * IQR_EFFICIENCY))
+    return _spatial(measured - NOISE_GAIN * temporal_variance_of_mean,
+                    float(np.linalg.norm([of_pixels, _error(of_all.row), _error(of_all.column)])))
 
 
 def of_each_kind(mean: np.ndarray, temporal_variance_of_mean: float) -> dict[str, Spatial]:
     """The nonuniformity of a mean image by KINDS, filtered once."""
     filtered, t = high_pass(mean), temporal_variance_of_mean
-    return {"raw": spatial_raw(mean, t), "1288": spatial_1288(filtered, t), "core": spatial_core(filtered, t)}
+    passed = split(filtered, t, filtered=True)
+    return {"raw": split(mean, t, filtered=False).total, "1288": passed.total, "core": spatial_core(filtered, t, passed)}
 
 
 def split(image: np.ndarray, temporal_variance_of_mean: float, *, filtered: bool) -> Parts:
@@ -84,7 +85,7 @@ def split(image: np.ndarray, temporal_variance_of_mean: float, *, filtered: bool
     pixels' variance too, and so on (release 4, 8.1).
     """
     h, w = image.shape
-    whole, line = (NOISE_GAIN, LINE_NOISE_GAIN) if filtered else (1.0, 1.0)
+    whole, line, wider, line_wider = (NOISE_GAIN, LINE_NOISE_GAIN, WIDER, LINE_WIDER) if filtered else (1.0,) * 4
     t = temporal_variance_of_mean
     s2 = float(np.var(image)) - whole * t
     column_means, row_means = image.mean(axis=0), image.mean(axis=1)
@@ -94,10 +95,11 @@ def split(image: np.ndarray, temporal_variance_of_mean: float, *, filtered: bool
     column = ((h * w - h) * of_columns - w * (s2 - of_rows)) / rest
     row = ((h * w - w) * of_rows - h * (s2 - of_columns)) / rest
     pixel = h * w * (s2 - of_columns - of_rows) / rest
-    column_error, row_error = columns * np.sqrt(2 / (w - 1)), rows * np.sqrt(2 / (h - 1))
+    column_error, row_error = columns * np.sqrt(2 * line_wider / (w - 1)), rows * np.sqrt(2 * line_wider / (h - 1))
     rest_image = image - column_means
     rest_image -= row_means[:, None]
-    pixel_error = _variance_error(rest_image)
+    lost = (1 - 1 / h) * (1 - 1 / w)  # with the means, the image has lost as much of its pixels' variance
+    pixel_error = _variance_error(rest_image) * float(np.sqrt(wider / lost)) / lost
     return Parts(total=_spatial(s2, float(np.sqrt(pixel_error**2 + column_error**2 + row_error**2))),
                  row=_spatial(row, row_error), column=_spatial(column, column_error), pixel=_spatial(pixel, pixel_error))
 
@@ -108,11 +110,6 @@ def _variance_error(image: np.ndarray) -> float:
     square *= square
     fourth = float(np.vdot(square, square)) / image.size
     return float(np.sqrt(max(fourth - float(square.mean()) ** 2, 0.0) / image.size))
-
-
-def _corrected(measured: float, temporal: float, pixels: int, efficiency: float = 1.0) -> Spatial:
-    """Efficiency: information of the estimator against the sample variance (Gaussian; 0.37 for the interquartile range)."""
-    return _spatial(measured - temporal, measured * np.sqrt(2 / (pixels * efficiency)))
 
 
 def _spatial(variance: float, error: float) -> Spatial:

@@ -27,7 +27,7 @@ def test_lamp_fall_off_goes_and_pixel_pattern_stays():
     rng = np.random.default_rng(2)
     y, x = np.mgrid[:300, :400]
     mean = 1000 - 1e-3 * ((x - 200) ** 2 + (y - 150) ** 2) + rng.normal(0, 5, x.shape) + rng.normal(0, 1, x.shape)
-    assert spatial.spatial_raw(mean, 1.0).sd > 10
+    assert spatial.split(mean, 1.0, filtered=False).total.sd > 10
     assert spatial.of_each_kind(mean, 1.0)["1288"].sd == pytest.approx(5 * 0.98850**0.5, rel=0.02)
 
 
@@ -40,11 +40,24 @@ def test_defects_carry_the_standard_figure_and_not_the_core():
 
 
 def test_a_negative_variance_gives_zero_and_keeps_its_sign():
-    found = spatial.spatial_raw(np.random.default_rng(4).normal(0, 1, (100, 100)), 1.2)
+    found = spatial.split(np.random.default_rng(4).normal(0, 1, (100, 100)), 1.2, filtered=False).total
     assert found.sd == 0 and found.signed_variance < 0 and found.uncertainty > 0
 
 
 def test_error_bar_matches_the_scatter():
     rng = np.random.default_rng(5)
-    found = [spatial.of_each_kind(rng.normal(0, 2, (64, 64)) + rng.normal(0, 1, (64, 64)), 1.0)["1288"] for _ in range(200)]
-    assert np.std([f.sd for f in found]) == pytest.approx(np.mean([f.uncertainty for f in found]), rel=0.2)
+    lines = [rng.normal(0, 0.5, (64, 1)) + rng.normal(0, 0.8, 64) + rng.normal(0, 2, (64, 64)) for _ in range(300)]
+    found = [spatial.of_each_kind(image + rng.normal(0, 1, (64, 64)), 1.0) for image in lines]
+    for kind in spatial.KINDS:
+        scatter, stated = np.std([f[kind].sd for f in found]), np.mean([f[kind].uncertainty for f in found])
+        assert scatter == pytest.approx(stated, rel=0.15)
+
+
+def test_a_few_hot_pixels_widen_the_error_of_the_standard_figure():
+    rng = np.random.default_rng(6)
+    found = []
+    for _ in range(100):
+        image = rng.normal(0, 1, (96, 96))
+        image[rng.random(image.shape) < 5e-3] += 30
+        found.append(spatial.of_each_kind(image, 0.0)["1288"])
+    assert np.std([f.sd for f in found]) == pytest.approx(np.mean([f.uncertainty for f in found]), rel=0.25)

@@ -132,8 +132,8 @@ def _patterns(out: _Sheet, dark: Image | None, bright: Image | None, gain: Figur
             continue
         filtered = spatial.high_pass(image.mean_dn)
         t = image.temporal_dn2
-        raw, passed = (vars(spatial.split(i, t, filtered=f)) for i, f in ((image.mean_dn, False), (filtered, True)))
-        found[what] = {"raw": raw, "1288": passed, "core": {"total": spatial.spatial_core(filtered, t)}}
+        raw, passed = (spatial.split(i, t, filtered=f) for i, f in ((image.mean_dn, False), (filtered, True)))
+        found[what] = {"raw": vars(raw), "1288": vars(passed), "core": {"total": spatial.spatial_core(filtered, t, passed)}}
         shown |= _shown(what, image, filtered)
     reason = "no dark frames at which the pattern could be read" if dark is None else "no lit stack"
     values = {"dsnu": 0.0, "prnu": 0.0}
