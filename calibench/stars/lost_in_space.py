@@ -2,7 +2,7 @@
 
 1. Believe something about the lens (the map's, or a ladder of fields), which gives a View.
 2. The named identifier proposes correspondences; verify.py weeds them and judges the rest against all stars in view.
-3. The first with a false-match probability below ACCEPT is the answer; else the best candidate and its odds are the reason.
+3. The first with a false-match probability below `accept` is the answer; else the best candidate and its odds are the reason.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .sky_catalogue import SkyCatalogue
 from .verify import ACCEPT, Match, Verifier
 from .view import GUESSED_MODEL_SD_PX, KnownLens, View, focal_from_fov, guessed_view
 
-DOUBTFUL = 1e-2  # below this, but not below ACCEPT: a candidate was found and rejected
+DOUBTFUL = 1e-2  # below this, but not below the limit: a candidate was found and rejected
 FEWEST_SPOTS = 4
 GIVEN_FOV_SLACK = 0.12  # a field given by hand is believed to this fraction
 FOV_RANGE_RAD = (np.radians(5.0), np.radians(60.0))
@@ -72,12 +72,14 @@ def ready(lens: Intrinsics) -> tuple[KnownLens, KnownLens]:
 class LostInSpace:
     """An identifier with its tables for one sky; keeps the tables it has built.
 
+    accept: the false-match probability below which a match is believed.
     keep: where tables outlive the run, given by whoever may touch the disk: keep(name, Table, build) gives the table of that
     name, built anew where it is not found. Without it tables live as long as this object.
     """
 
     sky: SkyCatalogue
     method: str = "pattern"
+    accept: float = ACCEPT
     tables: dict = field(default_factory=dict)
     keep: Callable[[str, type[NamedTuple], Callable[[], NamedTuple]], NamedTuple] | None = None
 
@@ -101,7 +103,7 @@ class LostInSpace:
         if len(spots) < FEWEST_SPOTS:
             return Identification(status="too_few_spots", method=self.method,
                                   reason=f"{len(spots)} spots found, at least {FEWEST_SPOTS} are needed")
-        verifier = Verifier(sky=self.sky, spots=spots)
+        verifier = Verifier(sky=self.sky, spots=spots, accept=self.accept)
         for view in self._views(spots, image_size_px, lens, fov_rad, familiar):
             verifier.grown = 0
             for spot_rows, star_rows in propose(view, self.sky, self.table(self.module.table_key(view))):
@@ -156,7 +158,7 @@ class LostInSpace:
                                          f"({len(spots)} spots; {suspect})")
         odds = best.false_match_probability
         reason = (f"best of {tried} candidates matched {len(best.spot_rows)} of {len(spots)} spots, which happens by chance "
-                  f"with probability {odds:.2g}, above the limit {ACCEPT:g}; {suspect}")
+                  f"with probability {odds:.2g}, above the limit {self.accept:g}; {suspect}")
         return Identification(status="rejected" if odds < DOUBTFUL else "no_match", method=self.method, reason=reason,
                               false_match_probability=odds)
 

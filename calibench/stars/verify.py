@@ -24,7 +24,7 @@ from .guess import kernels as guess
 from .sky_catalogue import SkyCatalogue
 from .view import CALIBRATED_MISFIT, GUESSED_MODEL_SD_PX, View
 
-ACCEPT = 1e-6  # false-match probability below which a match is believed
+ACCEPT = 1e-6  # false-match probability below which a match is believed, where nobody says otherwise
 MOST_GROWN = 40  # hypotheses of one guessed lens that are verified in full
 
 
@@ -45,13 +45,14 @@ class Verifier:
 
     sky: SkyCatalogue
     spots: Spots
+    accept: float = ACCEPT
     tried: int = 0
     best: Match | None = None
     grown: int = 0
 
     @property
     def done(self) -> bool:
-        return self.best is not None and self.best.false_match_probability < ACCEPT
+        return self.best is not None and self.best.false_match_probability < self.accept
 
     def _is_better(self, probability: float) -> bool:
         return self.best is None and probability < 1 or (
@@ -66,7 +67,8 @@ class Verifier:
 
     def _known(self, view: View, spot_rows: np.ndarray, star_rows: np.ndarray) -> bool:
         frame = self.sky.grid, view.field, view.directions, view.sigma_rad
-        row, probability, self.tried, matrix, covariance = kernels.judge_known(*frame, spot_rows, star_rows, self.tried, ACCEPT)
+        row, probability, self.tried, matrix, covariance = kernels.judge_known(
+            *frame, spot_rows, star_rows, self.tried, self.accept)
         if row >= 0 and self._is_better(probability):
             spot, star, matrix = kernels.final_match(*frame, matrix, covariance)
             self.best = Match(spot_rows=spot, star_rows=star, matrix=matrix, intrinsics=view.intrinsics,

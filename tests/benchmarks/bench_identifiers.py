@@ -18,6 +18,7 @@ from calibench.records import CalibrationMap, Intrinsics, Observer
 from calibench.stars.frame_attitude import find_attitude
 from calibench.stars.lost_in_space import LostInSpace
 from calibench.stars.sky_catalogue import SkyCatalogue
+from calibench.validate.simulated_spots import Condition, look
 from calibench.validate.trials import identifiers
 
 FRAMES = int(os.environ.get("CALIBENCH_ATTITUDES", 300))
@@ -43,7 +44,7 @@ def test_attitude_methods(sky):
     """Error about each axis, arcsec rms; normalised error squared, mean of the axes; CPU time of method and covariance."""
     finder, cases = LostInSpace(sky=sky), []
     for seed in range(FRAMES):
-        truth, spots = identifiers.look(sky, CALMAP, identifiers.Condition(), np.random.default_rng([8, seed]))
+        truth, spots = look(sky, LENS, Condition(), np.random.default_rng([8, seed]))
         found = finder.identify(spots, LENS.image_size_px, lens=LENS)
         if found.status == "solved":
             cases.append((truth, found))

@@ -1,10 +1,13 @@
-"""Star identification at full count: success and CPU beside the peers, frames with nothing to find, the stated odds against the
+"""Star identification at full count: success and CPU beside the peers, wrong answers in a million, the stated odds against the
 observed rate, the tables.
 
     make bench, or: python -m pytest tests/benchmarks/bench_identify.py -s -o python_files='bench_*.py'
 
-CALIBENCH_ATTITUDES: attitudes a case (10,000). CALIBENCH_NOTHING: random spot sets (100,000). A peer is run by the Python of an
-environment that has it: CALIBENCH_CEDAR_PYTHON (cedar-solve), CALIBENCH_TETRA3RS_PYTHON (tetra3rs); without, it is skipped.
+CALIBENCH_ATTITUDES: attitudes a case (10,000). CALIBENCH_WRONG: attitudes of all cases together among which wrong answers are
+counted (100,000). CALIBENCH_NOTHING, CALIBENCH_PART: sets of random spots (100,000), of few stars among false spots (10,000).
+CALIBENCH_RESUME: a folder where these counts are kept after each block, so that a run that was stopped goes on where it was.
+A peer is run by the Python of an environment that has it: CALIBENCH_CEDAR_PYTHON (cedar-solve), CALIBENCH_TETRA3RS_PYTHON
+(tetra3rs); without, it is skipped.
 """
 
 from __future__ import annotations
@@ -14,24 +17,30 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from calibench.geometry import projection
 from calibench.io.star_table import load_star_table
-from calibench.records import Intrinsics, Observer, Spots
+from calibench.records import Intrinsics, Observer
 from calibench.stars.lost_in_space import LostInSpace
 from calibench.stars.sky_catalogue import SkyCatalogue
+from calibench.validate.simulated_spots import Condition, is_wrong, look
+from calibench.validate.trials import false_match
 
 ATTITUDES = int(os.environ.get("CALIBENCH_ATTITUDES", 10_000))
-NOTHING = int(os.environ.get("CALIBENCH_NOTHING", 100_000))
+WRONG = int(os.environ.get("CALIBENCH_WRONG", 100_000))
+SETS = {false_match.NOTHING: int(os.environ.get("CALIBENCH_NOTHING", 100_000)),
+        false_match.PART: int(os.environ.get("CALIBENCH_PART", 10_000))}
+BLOCK = 1000
 PEER_ATTITUDES = 300
 SIGMA_PX = 0.2
 CAMERAS = {"A": ((1024, 768), 512 / np.tan(np.radians(10))),  # 20 x 15 degrees
            "B": ((752, 480), np.hypot(376, 240) / np.tan(np.radians(15.9)))}  # 31.8 degrees across the diagonal
-STRESSES = {"clean": (0, 0.0), "5 false": (5, 0.0), "30 % missing": (0, 0.3), "both": (5, 0.3)}
+STRESSES = {"clean": Condition(SIGMA_PX, 0, 0.0, 999), "5 false": Condition(SIGMA_PX, 5, 0.0, 999),
+            "30 % missing": Condition(SIGMA_PX, 0, 0.3, 999), "both": Condition(SIGMA_PX, 5, 0.3, 999)}
 LEAST = {"clean": 0.999, "5 false": 0.999, "30 % missing": 0.999, "both": 0.998}
 PEERS = {"cedar-solve": ("CALIBENCH_CEDAR_PYTHON", """
 import json, sys, time, numpy as np, tetra3, logging
@@ -80,28 +89,20 @@ def sky() -> SkyCatalogue:
     return SkyCatalogue.seen_by(table.take(table.hp_mag <= 6.0), Observer())
 
 
-def spots_of(xy: np.ndarray, magnitude: np.ndarray) -> Spots:
-    order, n = np.argsort(magnitude), len(xy)
-    nothing = np.zeros(n)
-    return Spots(xy_px=xy[order], covariance_px2=np.tile(np.eye(2) * SIGMA_PX**2, (n, 1, 1)), flux_e=nothing,
-                 background_dn=nothing, peak_dn=nothing, pixels=nothing, flags=nothing)
+def tally(name: str, count: int, one: Callable[[np.random.Generator], np.ndarray]) -> tuple[np.ndarray, int]:
+    """Sum of what `one` gives for `count` draws, in blocks with a seed each; finished blocks of a stopped run are not run anew.
 
-
-def look(sky, lens, rng, false: int, missing: float) -> tuple[np.ndarray, Spots]:
-    """A random attitude and what the camera sees there."""
-    size, truth = np.array(lens.image_size_px), Rotation.random(random_state=rng).as_matrix()
-    rows = np.flatnonzero(sky.directions @ truth[2] > 0.9)
-    xy = projection.project(lens, sky.directions[rows] @ truth.T)
-    on = ((xy > -0.5) & (xy < size - 0.5)).all(1) & (rng.random(len(xy)) >= missing)
-    xy = np.concatenate([xy[on] + rng.normal(0, SIGMA_PX, (on.sum(), 2)), rng.uniform(-0.5, size - 0.5, (false, 2))])
-    magnitude = np.concatenate([sky.magnitude[rows[on]] + rng.normal(0, 0.2, on.sum()), rng.uniform(2, 6, false)])
-    return truth, spots_of(xy, magnitude)
-
-
-def misses(found, lens, truth) -> bool:
-    """Whether the identified stars are not where the truth puts them."""
-    there = projection.project(lens, found.direction_icrs @ truth.T)
-    return not np.median(np.hypot(*(there - found.xy_px).T)) < 5 * SIGMA_PX
+    Returns the sum, and how many draws it is of.
+    """
+    kept = Path(os.environ["CALIBENCH_RESUME"]) / f"{name}.jsonl" if "CALIBENCH_RESUME" in os.environ else None
+    blocks = [json.loads(line) for line in kept.read_text().splitlines()] if kept and kept.exists() else []
+    for block in range(len(blocks), -(-count // BLOCK)):
+        rng = np.random.default_rng([*name.encode(), block])
+        blocks.append(np.sum([one(rng) for _ in range(BLOCK)], axis=0).tolist())
+        if kept:
+            with kept.open("a") as file:
+                file.write(json.dumps(blocks[-1]) + "\n")
+    return np.sum(blocks, axis=0), BLOCK * len(blocks)
 
 
 def test_synthetic_skies(sky, tmp_path):
@@ -109,16 +110,16 @@ def test_synthetic_skies(sky, tmp_path):
     shared = []
     for camera in CAMERAS:
         lens, finder = lens_of(camera), LostInSpace(sky=sky)
-        for stress, (false, missing) in STRESSES.items():
+        for stress, condition in STRESSES.items():
             rng, solved, wrong, spent = np.random.default_rng(20), 0, 0, []
-            frames = [look(sky, lens, rng, false, missing) for _ in range(ATTITUDES)]
+            frames = [look(sky, lens, condition, rng) for _ in range(ATTITUDES)]
             finder.identify(frames[0][1], lens.image_size_px, lens=lens)
             for truth, spots in frames:
                 begin = time.process_time_ns()
                 found = finder.identify(spots, lens.image_size_px, lens=lens)
                 spent.append((time.process_time_ns() - begin) / 1e6)
                 solved += found.status == "solved"
-                wrong += found.status == "solved" and misses(found, lens, truth)
+                wrong += found.status == "solved" and is_wrong(found, truth, SIGMA_PX)
             say(f"{camera} {stress:13s} {100 * solved / ATTITUDES:7.2f}  {wrong}   {timings(spent)}")
             assert wrong == 0 and solved >= LEAST[stress] * ATTITUDES
             w, h = lens.image_size_px
@@ -148,23 +149,30 @@ def test_synthetic_skies(sky, tmp_path):
                 f"{timings(spent)}")
 
 
+@pytest.mark.parametrize("stress", STRESSES)
 @pytest.mark.parametrize("camera", CAMERAS)
-def test_nothing_to_find(sky, camera):
-    """Stated probability x against how often a set of random spots is given x or less: never more often than x."""
-    lens, rng, finder = lens_of(camera), np.random.default_rng(30), LostInSpace(sky=sky)
-    size, stated, begin = np.array(lens.image_size_px), [], time.process_time()
-    for _ in range(NOTHING // len(CAMERAS)):
-        n = int(rng.integers(5, 31))
-        spots = spots_of(rng.uniform(-0.5, size - 0.5, (n, 2)), rng.uniform(2, 6, n))
+def test_no_wrong_answer(sky, camera, stress):
+    lens, finder = lens_of(camera), LostInSpace(sky=sky)
+
+    def one(rng: np.random.Generator) -> tuple[bool, bool]:
+        truth, spots = look(sky, lens, STRESSES[stress], rng)
         found = finder.identify(spots, lens.image_size_px, lens=lens)
-        assert found.status != "solved"
-        stated.append(found.false_match_probability)
-    say(f"\n\n{camera}: {len(stated)} random spot sets, {1e3 * (time.process_time() - begin) / len(stated):.2f} CPU ms each; "
-        f"stated probability x, part of the sets with x or less")
-    for x in np.logspace(0, -6, 13):
-        rate = float(np.mean(np.array(stated) <= x))
-        say(f"{x:9.2g}  {rate:.2g}")
-        assert rate <= x + 4 * np.sqrt(x / len(stated))
+        return found.status == "solved", found.status == "solved" and is_wrong(found, truth, SIGMA_PX)
+    (solved, wrong), count = tally(f"wrong {camera} {stress}", WRONG // (len(CAMERAS) * len(STRESSES)), one)
+    say(f"{camera} {stress:13s} {count} attitudes, {count - solved} not solved, {wrong} wrong")
+    assert wrong == 0
+
+
+@pytest.mark.parametrize("kind", SETS)
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_stated_odds(sky, camera, kind):
+    """An answer at a limit of the false-match probability is wrong no oftener than the limit says."""
+    finder, lens, tried = LostInSpace(sky=sky), lens_of(camera), false_match.variants(None)[kind]
+    counts, sets = tally(f"{kind} {camera}", SETS[kind] // len(CAMERAS), lambda rng: tried(finder, lens, rng))
+    say(f"\n\n{camera}, {kind}, {sets} sets: limit, solved, wrong, rate of wrong ones")
+    for limit, (solved, wrong) in zip(false_match.LIMITS, counts, strict=True):
+        say(f"{limit:9.2g}  {solved}  {wrong}  {wrong / sets:.2g}")
+        assert wrong <= limit * sets + 4 * np.sqrt(limit * sets)
 
 
 def test_tables(sky):
@@ -172,7 +180,7 @@ def test_tables(sky):
     for name, table in (("Hp 6", sky.table), ("Hp 7", full)):
         for camera in CAMERAS:
             finder, lens = LostInSpace(sky=SkyCatalogue.seen_by(table, Observer())), lens_of(camera)
-            spots = look(sky, lens, np.random.default_rng(1), 0, 0)[1]
+            spots = look(sky, lens, STRESSES["clean"], np.random.default_rng(1))[1]
             begin = time.process_time()
             finder.identify(spots, lens.image_size_px, lens=lens)
             spent = time.process_time() - begin

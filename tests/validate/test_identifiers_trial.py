@@ -9,6 +9,7 @@ from calibench.io.star_table import load_star_table
 from calibench.records import CalibrationMap, Identification, Intrinsics, Observer
 from calibench.stars.lost_in_space import LostInSpace
 from calibench.stars.sky_catalogue import SkyCatalogue
+from calibench.validate.simulated_spots import Condition, is_wrong, look
 from calibench.validate.trials import identifiers
 
 LENS = Intrinsics.pinhole(focal_px=1416.7, image_size_px=(752, 480), focal_sd_px=0.0)
@@ -33,15 +34,15 @@ def test_every_identifier_is_compared_and_none_is_wrong(sky, monkeypatch):
 
 
 def test_conditions_do_what_they_say_and_a_wrong_answer_is_seen(sky):
-    truth, spots = identifiers.look(sky, CALMAP, identifiers.Condition(most=8, false=3), np.random.default_rng(1))
+    truth, spots = look(sky, LENS, Condition(most=8, false=3), np.random.default_rng(1))
     assert len(spots) == 11
-    all_stars, half_of_them = identifiers.Condition(most=999), identifiers.Condition(most=999, missing=0.5)
-    whole, half = (len(identifiers.look(sky, CALMAP, condition, np.random.default_rng(1))[1])
+    all_stars, half_of_them = Condition(most=999), Condition(most=999, missing=0.5)
+    whole, half = (len(look(sky, LENS, condition, np.random.default_rng(1))[1])
                    for condition in (all_stars, half_of_them))
     assert 0.2 * whole < half < 0.8 * whole
     found = LostInSpace(sky=sky).identify(spots, (752, 480), lens=LENS)
-    assert isinstance(found, Identification) and found.status == "solved" and not identifiers.is_wrong(found, truth, 0.2)
-    assert identifiers.is_wrong(found, truth[[1, 0, 2]] * [[1], [-1], [1]], 0.2)
+    assert isinstance(found, Identification) and found.status == "solved" and not is_wrong(found, truth, 0.2)
+    assert is_wrong(found, truth[[1, 0, 2]] * [[1], [-1], [1]], 0.2)
 
 
 def test_without_a_lens_it_says_so(sky):
