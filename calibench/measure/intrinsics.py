@@ -129,7 +129,7 @@ def _find_corners(frames: Iterable[Frame], settings: Settings,
     able = corner.detectors(settings.target, settings.detector)
     quick, *_ = corner.detectors(settings.target, None)
     names, seen, small = [], [], []
-    found, missed = [], []  # a few images each, to ask about another board size
+    found, missed = [], []  # images in which it was found, and not, until they are enough to ask about another size
     for frame in frames:
         if not ledger.take(frame):
             continue
@@ -141,16 +141,19 @@ def _find_corners(frames: Iterable[Frame], settings: Settings,
             raise BadInput(error.what, file=frame.file or None, mend=error.mend) from error
         except Unsettled as error:
             points, reason = None, str(error)
+        if max(len(found), len(missed)) < PROBED_VIEWS:
+            (missed if points is None else found).append(grey)
+            if max(len(found), len(missed)) == PROBED_VIEWS:
+                corner.check_board_size(found, missed, target, quick)
         if points is None:
-            missed += [grey] if len(missed) < PROBED_VIEWS else []
             ledger.reject(frame, reason)
             continue
         names.append(frame.file or frame.name)
         seen.append(points)
         small.append(corner.thumbnail(grey))
-        found += [(grey, points[corner.REFINERS[0]].xy_px)] if len(found) < PROBED_VIEWS else []
     ledger.first  # noqa: B018  raises where there was no frame at all
-    corner.check_board_size(found, missed, target, quick)
+    if max(len(found), len(missed)) < PROBED_VIEWS:
+        corner.check_board_size(found, missed, target, quick)
     if len(names) < MIN_VIEWS:
         raise BadInput(f"{len(names)} of {len(names) + len(ledger.rejected)} frames can be used as views of a "
                        f"{settings.board[0]}x{settings.board[1]} board, {MIN_VIEWS} are the least"

@@ -14,10 +14,9 @@ from calibench.errors import UsageError
 CONTRACTS: dict[str, dict[str, tuple[str, ...] | type]] = {
     "calibench.measure": {"measure": ("frames", "settings", "calmap"), "Settings": type},
     "calibench.measure.corners": {"find": ("grey", "target"), "points": ("board",),
-                                  "may_go_on": ("grey", "xy_px", "board"), "TARGET": str, "POINT": str,
+                                  "shown": ("grey", "target"), "TARGET": str, "POINT": str,
                                   "WINDOWS": tuple},
-    "calibench.spots.detect": {"detect": ("signal_dn", "noise_dn", "unusable", "k_sigma"),
-                               "threshold": ("noise_dn", "unusable", "false_alarms", "law")},
+    "calibench.spots.detect": {"detect": ("signal_dn", "noise_dn", "unusable", "sensitivity")},
     "calibench.spots.centroid": {"centroid": ("scene", "candidates")},
     "calibench.stars.identify": {"table_key": ("view",), "build": ("sky", "key"),
                                   "propose": ("view", "sky", "table"), "NEEDS_SCALE": bool, "Table": type},

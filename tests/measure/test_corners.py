@@ -163,15 +163,25 @@ def test_deep_images_keep_their_depth():
     assert rms(points.xy_px - truth) < 0.004
 
 
-def test_the_board_s_size_is_asked_without_a_search():
-    image, truth = view()
+@pytest.mark.parametrize("said", [(8, 6), (9, 5), (5, 4), (6, 8)])
+def test_a_larger_board_than_said_is_named(said):
+    image, _ = view()
     grey = np.rint(image).astype(np.uint8)
-    assert not checkerboard.may_go_on(grey, truth, BOARD)
-    inner = truth.reshape(6, 9, 2)
-    for part in (inner[:, :8], inner[:, 1:], inner[1:], inner[:5]):
-        assert checkerboard.may_go_on(grey, part.reshape(-1, 2), part.shape[1::-1])
-    with pytest.raises(BadInput, match="found 9x6, you said 8x6: count inner corners"):
-        views.check_board_size([(grey, inner[:, :8].reshape(-1, 2))], [], Target(board=(8, 6)), checkerboard)
+    found = "9x6" if said[0] > said[1] else "6x9"
+    with pytest.raises(BadInput, match=f"found {found}, you said {said[0]}x{said[1]}: count inner corners"):
+        views.check_board_size([grey], [], Target(board=said), checkerboard)
+
+
+def test_a_smaller_board_than_said_is_named_where_the_one_said_is_not_found():
+    image, _ = view()
+    grey = np.rint(image).astype(np.uint8)
+    larger = Target(board=(10, 7))
+    views.check_board_size([grey], [], larger, checkerboard)  # found in part: the rest may be out of the frame
+    with pytest.raises(BadInput, match="found 9x6, you said 10x7"):
+        views.check_board_size([], [grey], larger, checkerboard)
+    for right in ((9, 6), (6, 9)):
+        views.check_board_size([grey], [grey], Target(board=right), checkerboard)
+        assert checkerboard.shown(grey, Target(board=right)) == right
 
 
 def test_detectors_are_named():

@@ -6,9 +6,10 @@ way back must be the same. Numbers go from corner to corner along such steps; a 
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
-from ._saddles import Saddles, circle, likeness, sampled
+from ._saddles import Saddles, circle, likeness, saddles, sampled
 from ._symmetry import local_map
 
 NEAREST = 12  # saddles around each that may be its neighbours
@@ -19,6 +20,15 @@ LEAST_OF_A_LINE = 2  # of an outermost line: one alone may be chance
 ROUGHEST = 0.15  # of the spacing: farther from the board's smooth map no corner lies
 CLEAR = 0.3  # of the spacing: within that a corner looks the same after half a turn, or something covers it
 LEAST_LIKENESS = 0.85
+LARGEST_PX = 1600  # of the image's longer side: in larger ones corners are sought in larger pixels
+
+
+def seen_lattice(grey: np.ndarray) -> tuple[np.ndarray, int, tuple[np.ndarray, np.ndarray] | None]:
+    """The view (h, w) float32, slightly blurred, in pixels larger by a whole number; that number; its `lattice` in them."""
+    by = -(-max(grey.shape) // LARGEST_PX)
+    small = cv2.resize(grey, None, fx=1 / by, fy=1 / by, interpolation=cv2.INTER_AREA) if by > 1 else grey
+    smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), 1.0)
+    return smooth, by, lattice(smooth, saddles(small))
 
 
 def lattice(smooth: np.ndarray, found: Saddles) -> tuple[np.ndarray, np.ndarray] | None:

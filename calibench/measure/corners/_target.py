@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,3 +42,16 @@ def turns(xy_px: np.ndarray, board: tuple[int, int]) -> float:
     rows = xy_px.reshape(board[1], board[0], 2)
     along, down = rows[0, -1] - rows[0, 0], rows[-1, 0] - rows[0, 0]
     return float(along[0] * down[1] - along[1] * down[0])
+
+
+def largest_found(find: Callable, grey: np.ndarray, target: Target) -> tuple[int, int] | None:
+    """The size of the grid that `find` sees: the one said, or a neighbour of it, and from there ever larger ones."""
+    def seen(size: tuple[int, int]) -> bool:
+        return find(grey, dataclasses.replace(target, board=size)) is not None
+
+    columns, rows = target.board
+    around = sorted(((columns + i, rows + j) for i in (-1, 0, 1) for j in (-1, 0, 1)), key=lambda s: s != target.board)
+    size = next((s for s in around if min(s) > 2 and seen(s)), None)
+    while size and (larger := next((s for s in ((size[0] + 1, size[1]), (size[0], size[1] + 1)) if seen(s)), None)):
+        size = larger
+    return size

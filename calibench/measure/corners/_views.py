@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
@@ -124,33 +124,20 @@ def points_mm(target: Target, module: ModuleType) -> np.ndarray:
     return np.pad(module.points(target.board), ((0, 0), (0, 1))) * target.square_mm
 
 
-def check_board_size(found: Sequence[tuple[np.ndarray, np.ndarray]], missed: Sequence[np.ndarray], target: Target,
-                     module: ModuleType) -> None:
-    """Ask whether the board is larger than said or, where it was never found, of a neighbouring size.
+def check_board_size(found: Sequence[np.ndarray], missed: Sequence[np.ndarray], target: Target, module: ModuleType) -> None:
+    """Ask whether the views show a target of another size: a larger one, or where most do not show the one said, any other.
 
     Args:
-        found: some views that show it with its points (P, 2) px, NaN: not seen. missed: some that do not. Where few
-            views show all of the points, a neighbouring size is sought as if none had been found.
+        found, missed: some views (H, W) uint8 in which the target was found, whole or in part, and some in which it was not.
 
     Raises:
-        BadInput: another size is what most of the probed views show.
+        BadInput: most of these views show one other size.
     """
-    columns, rows = target.board
-    size, views = target.board, [grey for grey, _ in found] + list(missed)
-
-    def seen(size: tuple[int, int]) -> bool:
-        there = [module.find(grey, dataclasses.replace(target, board=size)) for grey in views]
-        return sum(xy is not None and bool(np.isfinite(xy).all()) for xy in there) * 2 > len(views)
-
-    whole = [(grey, xy) for grey, xy in found if np.isfinite(xy).all()]
-    usual = bool(whole) and len(whole) >= len(missed)
-    if usual and not any(module.may_go_on(grey, xy, size) for grey, xy in whole):
+    sizes = [size for grey in (*found, *missed) if (size := module.shown(grey, target))]
+    if not sizes:
         return
-    if not usual:
-        around = ((columns + i, rows + j) for i in (1, 0, -1) for j in (1, 0, -1))
-        size = next((s for s in around if s != target.board and min(s) > 2 and seen(s)), target.board)
-    while larger := next((s for s in ((size[0] + 1, size[1]), (size[0], size[1] + 1)) if seen(s)), None):
-        size = larger
-    if size != target.board:
-        raise BadInput(f"found {size[0]}x{size[1]}, you said {columns}x{rows}: count {module.POINT}",
-                       mend=f"give --board {size[0]}x{size[1]}")
+    size, views = Counter(sizes).most_common(1)[0]
+    larger = any(is_ > said for is_, said in zip(size, target.board, strict=True))
+    if size != target.board and 2 * views > len(found) + len(missed) and (larger or len(missed) > len(found)):
+        raise BadInput("found {}x{}, you said {}x{}: count {}".format(*size, *target.board, module.POINT),
+                       mend="give --board {}x{}".format(*size))

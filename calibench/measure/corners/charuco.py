@@ -9,7 +9,7 @@ from ...errors import BadInput
 from ._target import Target
 from ._target import grid as points
 
-__all__ = ["POINT", "TARGET", "WINDOWS", "find", "may_go_on", "points"]
+__all__ = ["POINT", "TARGET", "WINDOWS", "find", "points", "shown"]
 
 TARGET = "charuco"
 POINT = "inner corners, where four squares meet"
@@ -31,9 +31,8 @@ def find(grey: np.ndarray, target: Target) -> np.ndarray | None:
     return found
 
 
-def may_go_on(grey: np.ndarray, xy_px: np.ndarray, board: tuple[int, int]) -> bool:
-    """No: the markers of a larger board are numbered otherwise."""
-    return False
+def shown(grey: np.ndarray, target: Target) -> None:
+    """Not known: the markers say which corner is which, not how many there are."""
 
 
 def _corners(grey: np.ndarray, target: Target) -> np.ndarray | None:

@@ -15,14 +15,13 @@ import itertools
 import cv2
 import numpy as np
 
-from ._lattice import lattice
-from ._saddles import saddles, sampled
+from ._lattice import seen_lattice
+from ._saddles import sampled
 from ._target import Target, Unsettled
-from .checkerboard import POINT, TARGET, WINDOWS, may_go_on, points
+from .checkerboard import POINT, TARGET, WINDOWS, points, shown
 
-__all__ = ["POINT", "TARGET", "WINDOWS", "find", "may_go_on", "points"]
+__all__ = ["POINT", "TARGET", "WINDOWS", "find", "points", "shown"]
 
-LARGEST_PX = 1600  # of the image's longer side: in larger ones corners are sought in larger pixels
 NEAR_LINES = 3  # of corners: what lies just beyond the last one is foretold from these
 INSIDE, BEYOND = 0.88, 1.12  # squares beyond the last corners: still on the outermost squares, and past them
 LEAST_SQUARES = 3  # along a side, to tell an end
@@ -35,10 +34,7 @@ def find(grey: np.ndarray, target: Target) -> np.ndarray | None:
     Raises:
         Unsettled: a part of a checkerboard is seen, and it is not settled which.
     """
-    by = -(-max(grey.shape) // LARGEST_PX)
-    small = cv2.resize(grey, None, fx=1 / by, fy=1 / by, interpolation=cv2.INTER_AREA) if by > 1 else grey
-    smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), 1.0)
-    seen = lattice(smooth, saddles(small))
+    smooth, by, seen = seen_lattice(grey)
     if seen is None:
         return None
     xy, uv = seen

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from ._target import Target, right_handed
-from .checkerboard import POINT, TARGET, WINDOWS, may_go_on, points
+from .checkerboard import POINT, TARGET, WINDOWS, points, shown
 
-__all__ = ["POINT", "TARGET", "WINDOWS", "find", "may_go_on", "points"]
+__all__ = ["POINT", "TARGET", "WINDOWS", "find", "points", "shown"]
 
 FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 

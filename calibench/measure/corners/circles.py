@@ -10,10 +10,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ._target import Target, right_handed
+from ._target import Target, largest_found, right_handed
 from ._target import grid as points
 
-__all__ = ["POINT", "TARGET", "WINDOWS", "find", "may_go_on", "points"]
+__all__ = ["POINT", "TARGET", "WINDOWS", "find", "points", "shown"]
 
 TARGET = "circles"
 POINT = "dots"
@@ -26,6 +26,6 @@ def find(grey: np.ndarray, target: Target) -> np.ndarray | None:
     return right_handed(middles.astype(float), target.board) if found else None
 
 
-def may_go_on(grey: np.ndarray, xy_px: np.ndarray, board: tuple[int, int]) -> bool:
-    """Yes: only the search tells."""
-    return True
+def shown(grey: np.ndarray, target: Target) -> tuple[int, int] | None:
+    """Columns and rows of the dots, when the grid seen is the one said, a neighbour of it, or a larger one around it."""
+    return largest_found(find, grey, target)

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 
 from ...errors import BadInput
-from ._target import Target, grid, turns
-from .circles import POINT, WINDOWS, may_go_on
+from ._target import Target, grid, largest_found, turns
+from .circles import POINT, WINDOWS
 
-__all__ = ["POINT", "TARGET", "WINDOWS", "find", "may_go_on", "points"]
+__all__ = ["POINT", "TARGET", "WINDOWS", "find", "points", "shown"]
 
 TARGET = "circles_asymmetric"
 
@@ -41,3 +41,8 @@ def find(grey: np.ndarray, target: Target) -> np.ndarray | None:
                            mend="flip the frames, or take the mirror out of the light path")
         rows = rows[::-1]
     return rows.reshape(-1, 2)
+
+
+def shown(grey: np.ndarray, target: Target) -> tuple[int, int] | None:
+    """Columns and rows of the dots, when the grid seen is the one said, a neighbour of it, or a larger one around it."""
+    return largest_found(find, grey, target)
