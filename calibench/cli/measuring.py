@@ -83,10 +83,9 @@ def board_size(text: str) -> tuple[int, int]:
 def _measure(name: str, kind: str, arguments: list[Path], settings: dict, map_: Path | None, map_out: Path | None,
              as_json: bool) -> None:
     from ..io.frames import find_frames
-    from ..io.map_file import read_map
     from ..session.measuring import measure
     from ..session.reading import read_arguments
-    calmap = read_map(map_) if map_ else None
+    calmap = given_map(map_)
     paths = find_frames(arguments)
     with progress() as tell:
         frames, rejected = read_arguments(arguments, paths, kind, lambda done: tell("read frames", done, len(paths)))
@@ -95,13 +94,21 @@ def _measure(name: str, kind: str, arguments: list[Path], settings: dict, map_: 
     finish_measurement(measurement, rejected, calmap, map_out, as_json)
 
 
+def given_map(path: Path | None) -> CalibrationMap | None:
+    """The map of `--map`, if one was named; what reads it is loaded only then."""
+    if path is None:
+        return None
+    from ..io.map_file import read_map
+    return read_map(path)
+
+
 def finish_measurement(measurement: Measurement, rejected: list[tuple[str, str]], calmap: CalibrationMap | None,
                        map_out: Path | None, as_json: bool) -> None:
     """Write the map that was asked for, then print the measurement."""
-    from ..io.map_file import write_map
-    from ..session.measuring import into_map
     from ..session.results import measurement_json
     if map_out:
+        from ..io.map_file import write_map
+        from ..session.measuring import into_map
         write_map(map_out, into_map([measurement], calmap))
     values = measurement_json(measurement)
     values["frames_rejected"] = [{"file": f, "reason": r} for f, r in rejected] + values["frames_rejected"]

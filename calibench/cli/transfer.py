@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..errors import UsageError
-from .measuring import Map, MapOut, finish_measurement
+from .measuring import Map, MapOut, finish_measurement, given_map
 from .output import Json, print_json, progress, say
 
 SUFFIXES = (".html", ".pdf", ".json", ".csv")
@@ -24,13 +24,12 @@ def transfer(frames: Annotated[list[Path] | None, typer.Argument(metavar="[FRAME
                                                                                  ".csv.")] = None,
              map_: Map = None, map_out: MapOut = None, json_: Json = False) -> None:
     """Gain, quantum efficiency, noise, saturation, linearity and nonuniformity, after EMVA 1288 release 4."""
-    from ..io.map_file import read_map
     from ..session.measuring import into_map, measure
     if bool(frames) == bool(descriptor):
         raise UsageError("transfer wants either FRAMES or --descriptor FILE")
     if datasheet_:
         _known_suffix(datasheet_)
-    calmap = read_map(map_) if map_ else None
+    calmap = given_map(map_)
     settings = {"irradiance_photons_per_px_s": irradiance, "lens": lens}
     with progress() as tell:
         series, rejected = _described(descriptor, tell) if descriptor else _named(frames, tell)

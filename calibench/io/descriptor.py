@@ -21,6 +21,7 @@ from ..records import Frame
 from .file_bytes import free_spare
 from .frames import read_frame
 from .metadata import FrameMetadata
+from .read_ahead import read_ahead
 
 MAX_BYTES = 10_000_000
 LONGEST_NS, SHORTEST_LONGEST_NS = 86400e9, 1000.0  # outside, no ladder is in nanoseconds
@@ -71,19 +72,21 @@ def read_descriptor(path: Path) -> Descriptor:
 
 
 def described_frames(descriptor: Descriptor) -> Iterator[Frame]:
-    """The frames one after the other, with kind, exposure, photons and bits as the descriptor says.
+    """The frames one after the other, read ahead, with kind, exposure, photons and bits as the descriptor says.
 
     Raises:
         BadInput: an image cannot be read, contradicts the descriptor, or has another size.
     """
-    for said in descriptor.frames:
+    def read(said: DescribedFrame) -> Frame:
         known = FrameMetadata(kind=said.kind, exposure_s=said.exposure_s, bit_depth=descriptor.bit_depth)
         frame = read_frame(said.path, said.kind, protocol=known)
         if frame.image_size_px != descriptor.image_size_px:
             (w, h), (said_w, said_h) = frame.image_size_px, descriptor.image_size_px
             raise BadInput(f"is {w} x {h} px, but {descriptor.file.name} says n ... {said_w} {said_h}", file=said.path,
                            mend="correct the line n of the descriptor")
-        yield dataclasses.replace(frame, photons_per_px=said.photons)
+        return dataclasses.replace(frame, photons_per_px=said.photons)
+
+    yield from read_ahead(read, descriptor.frames)
     free_spare()
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from ..errors import BadInput
 from ..records import CalibrationMap, Frame, Measurement, Quantity
 from ._dark.darkness import check_dark
-from ._dark.ladder import MAX_EXPOSURE_S
+from ._dark.limits import MAX_EXPOSURE_S
 from ._frames.ledger import Ledger
 from ._photon.curve import FITTED_FILL, Curve, Darks, darks_of
 from ._photon.levels import Level, Levels

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..records import DEFECT_FLAGS, DISTORTION_NAMES, SPOT_FLAGS, CalibrationMap, Measurement, Verdict
-from ..stars.solve import Solution
-from ..validate.case import Trial
-from ..validate.series_errors import SeriesErrors
-from .sky import SolvedFrame
+
+if TYPE_CHECKING:  # a measurement's result loads nothing of the sky
+    from ..stars.solve import Solution
+    from ..validate.case import Trial
+    from ..validate.series_errors import SeriesErrors
+    from .sky import SolvedFrame
 
 ARCSEC = 180 * 3600 / math.pi
 DEGREE = 180 / math.pi

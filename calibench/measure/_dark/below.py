@@ -12,8 +12,9 @@ import numpy as np
 
 from ...errors import BadInput
 from ...records import CalibrationMap, Frame
-from .ladder import check_exposure, check_rate, most_variance_dn2
+from .ladder import most_variance_dn2
 from .levels import DarkLevel
+from .limits import check_exposure, check_rate
 
 KEPT_BYTES = 60_000_000  # of mean images; at least one is kept
 SAME_EXPOSURE = 1e-6

@@ -15,8 +15,9 @@ from scipy.special import ndtri
 
 from .. import _defects as defect
 from . import telegraph
-from .ladder import QUANTISATION_DN2, Ladder
+from .ladder import Ladder
 from .levels import DarkLevel
+from .limits import QUANTISATION_DN2
 from .null import Null, fit_null
 
 THESIS_SIGMA = 5.0

@@ -8,8 +8,9 @@ from ...records import Quantity
 from .. import _nonuniformity as spatial
 from .._gain import Gain
 from .defects import Found
-from .ladder import QUANTISATION_DN2, Ladder
+from .ladder import Ladder
 from .levels import DarkLevel
+from .limits import QUANTISATION_DN2
 from .thermal import Activation
 
 FLOOR_VARIANCE_DN2 = 0.24  # EMVA 1288: below it quantisation hides the noise, and sigma_y.dark = 0.49 DN is an upper limit
@@ -77,7 +78,7 @@ def _dsnu(ladder: Ladder, gain: Gain) -> list[Quantity]:
                              source=text, reason="one frame only: temporal noise unknown")
             continue
         found = by_kind[kind]
-        note = "" if found.signed_variance >= 0 else f"negative variance estimate {found.signed_variance:.3g} DN^2, given as 0"
+        note = "" if found.signed_variance >= 0 else spatial.NEGATIVE.format(found.signed_variance, "DN^2")
         out += gain.both(f"dsnu_{kind}_dn", f"dsnu_{kind}_e", found.sd, found.uncertainty, "DN", "e-", symbol="DSNU",
                          source=f"{text}; {when}", reason=note)
     return out

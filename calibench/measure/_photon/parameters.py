@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import BadInput
-from .._dark.ladder import MAX_RATE_E_PER_S, QUANTISATION_DN2
+from .._dark.limits import MAX_RATE_E_PER_S, QUANTISATION_DN2
 from .._transfer import Line, line, variance_line
 from .curve import Curve, Darks
 

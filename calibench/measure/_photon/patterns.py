@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
-from scipy import fft
 
 BINS = 256  # at most, in a logarithmic histogram
 
@@ -13,9 +13,14 @@ def spectrogram(filtered: np.ndarray) -> np.ndarray:
 
     White noise of variance s^2 lies at s. Transpose the image for the columns.
     """
-    n = filtered.shape[1]
-    waves = fft.rfft(filtered.astype(np.float32), axis=1)
-    return np.sqrt(np.mean(waves.real**2 + waves.imag**2, axis=0) / n)
+    h, n = filtered.shape
+    waves = cv2.dft(np.ascontiguousarray(filtered, np.float32), flags=cv2.DFT_ROWS)  # each row: 0, then real and imaginary parts
+    squares = np.einsum("ij,ij->j", waves, waves) / (h * n)
+    power = np.zeros(n // 2 + 1)
+    power[0] = squares[0]
+    power[1:] += squares[1::2]
+    power[1:(n + 1) // 2] += squares[2::2]
+    return np.sqrt(power)
 
 
 def profiles(image: np.ndarray) -> np.ndarray:
