@@ -59,8 +59,21 @@ def steady_squares(total, squares, weighted, count, weight_sum, dn_per_weight, s
 
 @compiled
 def band_sums(data, band_px, bands):
-    """Add up the rows of data (H, W) in bands of `band_px` rows, into bands (B, W); the last band takes the rows left over."""
+    """Add up the rows of data (H, W) in bands of `band_px` rows, into bands (B, W); the last band takes the rows left over.
+
+    Gives the largest value of the data, and how many pixels have it; a row is looked at three times while it is in the cache.
+    """
+    largest, count = data[0, 0], 0
     for y in range(data.shape[0]):
         line, band = data[y], bands[min(y // band_px, bands.shape[0] - 1)]
+        most = line[0]
         for x in range(data.shape[1]):
             band[x] += line[x]
+        for x in range(data.shape[1]):
+            most = max(most, line[x])
+        if most > largest:
+            largest, count = most, 0
+        if most == largest:
+            for x in range(data.shape[1]):
+                count += line[x] == most
+    return largest, count

@@ -22,6 +22,7 @@ def test_figures_match_numpy(shape):
     data = noise(shape)
     seen = glance(frame(data))
     assert seen.total_dn == data.sum(dtype=np.int64) and seen.largest == data.max()
+    assert seen.at_largest == np.count_nonzero(data == data.max())
     assert seen.level_dn == data.sum(dtype=np.int64) / data.size
     rows, columns = (max(1, n // 32) for n in shape)
     assert seen.blocks_dn.shape == (rows, columns)
@@ -33,7 +34,8 @@ def test_figures_match_numpy(shape):
 def test_the_share_of_saturated_pixels():
     data = noise((40, 50), high=4000)
     data[:10, :20] = 4095
-    assert glance(frame(data)).saturated(4095.0) == 0.1
+    assert glance(frame(data)).saturated(4095.0) == 0.1 and glance(frame(data)).at_largest == 200
+    assert glance(frame(data)).saturated(2000.0) == np.mean(data >= 2000)
     assert glance(frame(data)).saturated(5000.0) == 0.0
 
 

@@ -21,12 +21,14 @@ WIDEST_BITS = 21  # of one frame's values, for sums of many to stay exact
 @dataclass(frozen=True, kw_only=True)
 class Glance:
     """values: (H, W) uint16, or int32 where they do not fit, read-only. smallest, largest: in DN, over the frame (smallest is
-    0 where no value can be negative). bands: (B, W) integer sums over bands of BLOCK_PX rows, the last with those left over.
+    0 where no value can be negative); at_largest: how many pixels have the largest. bands: (B, W) integer sums over bands of
+    BLOCK_PX rows, the last with those left over.
     """
 
     values: np.ndarray
     smallest: int
     largest: int
+    at_largest: int
     bands: np.ndarray
 
     @cached_property
@@ -51,8 +53,8 @@ class Glance:
 
     def saturated(self, white_level_dn: float) -> float:
         """Share of the pixels at or above the white level."""
-        if self.largest < white_level_dn:
-            return 0.0
+        if self.largest <= white_level_dn:
+            return self.at_largest / self.values.size if self.largest == white_level_dn else 0.0
         return float(np.count_nonzero(self.values >= white_level_dn)) / self.values.size
 
     @cached_property
@@ -85,8 +87,8 @@ def _look(frame: Frame) -> Glance:
     values = _whole(frame)
     bands = np.zeros((max(1, values.shape[0] // BLOCK_PX), values.shape[1]),
                      np.uint32 if values.dtype == np.uint16 else np.int64)
-    band_sums(values, BLOCK_PX, bands)
-    return Glance(values=values, bands=bands, largest=int(values.max()),
+    largest, at_largest = band_sums(values, BLOCK_PX, bands)
+    return Glance(values=values, bands=bands, largest=int(largest), at_largest=int(at_largest),
                   smallest=0 if values.dtype == np.uint16 else int(values.min()))
 
 
