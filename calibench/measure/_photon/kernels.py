@@ -14,15 +14,16 @@ from ...kernels import any_order, compiled
 @compiled
 def top(data):
     """Largest value of data (H, W) uint16, and how many pixels have it."""
-    maximum, count = np.uint16(0), np.int64(0)
+    maximum, count = data[0, 0], 0
     for y in range(data.shape[0]):
+        most = data[y, 0]
         for x in range(data.shape[1]):
-            maximum = max(maximum, data[y, x])
-    for y in range(data.shape[0]):
-        row = np.uint32(0)
-        for x in range(data.shape[1]):
-            row += np.uint32(data[y, x] == maximum)
-        count += np.int64(row)
+            most = max(most, data[y, x])
+        if most > maximum:
+            maximum, count = most, 0
+        if most == maximum:
+            for x in range(data.shape[1]):
+                count += data[y, x] == most
     return maximum, count
 
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from ...errors import BadInput
 from ...records import Frame
+from .._frames.glance import glance
 from . import kernels
 
 OPEN_BYTES = 60e6  # of sum images at a time; a level that comes again after it was given up is a level of its own
 SAME_LIGHT = 0.01  # frames of one exposure whose means differ by more are different levels
 SAME_LIGHT_DN = 1.0
-MARKED = 4  # every so many rows and columns tell one level of light from another
 PLANES = {"R": "r", "B": "b"}
 
 
@@ -79,8 +79,8 @@ class _Open:
     tops: dict[int, int] = field(default_factory=dict)
     pair: tuple = ()
 
-    def add(self, plane: np.ndarray) -> None:
-        maximum, count = kernels.top(plane)
+    def add(self, plane: np.ndarray, maximum: int, count: int) -> None:
+        """Add a frame's plane, whose maximum so many pixels have."""
         self.tops[maximum] = self.tops.get(maximum, 0) + count
         self.frames.append(plane)
         if len(self.frames) == 2 and not self.pair:
@@ -130,15 +130,18 @@ class Levels:
         Raises:
             BadInput: its values are no whole DN of 16 bits.
         """
-        data = _whole(frame)
-        key = self._key(frame, photons, float(data[::MARKED, ::MARKED].mean()))
+        seen = glance(frame)
+        if seen.values.dtype != np.uint16:
+            raise BadInput(f"pixel values from {seen.smallest} to {seen.largest} DN do not fit 16 bits", file=frame.file or None,
+                           mend="give frames as the camera made them, not scaled or subtracted copies")
+        key = self._key(frame, photons, seen.level_dn)
         planes = self._open.setdefault(key, [_Open() for _ in self._places])
         self._open.move_to_end(key)
         self._files.setdefault(key, []).append(frame.file or frame.name)
         for level, place in zip(planes, self._places.values(), strict=True):
-            plane = np.ascontiguousarray(data[place]).view()
+            plane = np.ascontiguousarray(seen.values[place]).view()
             plane.flags.writeable = False  # one compiled form serves planes and whole frames
-            level.add(plane)
+            level.add(plane, *((seen.largest, seen.at_largest) if len(planes) == 1 else kernels.top(plane)))
         self._give_up_oldest(frame.white_level_dn)
 
     def close(self, white_level_dn: float) -> None:
@@ -148,7 +151,7 @@ class Levels:
 
     def _key(self, frame: Frame, photons: float | None, mark_dn: float) -> tuple:
         """Of the open level that the frame belongs to, or a new one. Where nothing tells lights of one exposure apart, the mean
-        (of every MARKED-th pixel) does."""
+        does."""
         alike = (frame.kind == "dark", frame.exposure_s, photons)
         if alike[0] or photons is not None:
             return *alike, 0
@@ -190,16 +193,6 @@ def _places(bayer_pattern: str | None) -> dict[str, tuple]:
         beside = bayer_pattern[2 * y + 1 - x].lower()
         out[PLANES.get(colour, f"g{beside}")] = np.s_[y::2, x::2]
     return out
-
-
-def _whole(frame: Frame) -> np.ndarray:
-    data = frame.data
-    if data.dtype.kind in "ui" and data.dtype.itemsize <= 2:
-        return data.astype(np.uint16, copy=False)
-    if not np.array_equal(data, np.rint(data)) or data.min() < 0 or data.max() > np.iinfo(np.uint16).max:
-        raise BadInput(f"pixel values are no whole DN of 16 bits ({data.dtype})", file=frame.file or None,
-                       mend="give frames as the camera made them, not averaged or scaled copies")
-    return data.astype(np.uint16)
 
 
 def _worth(planes: tuple[Level, ...], white_level_dn: float) -> tuple:
