@@ -19,8 +19,8 @@ from .conditions import outside_conditions, unchecked_conditions
 from .dark_signal import dark_seconds, without_harmless
 from .linearise import linearise
 
-__all__ = ["correct", "interpolate_defects", "outside_conditions", "read_variance_dn2", "require_size", "saturation_of",
-           "unchecked_conditions"]
+__all__ = ["correct", "correction_warnings", "interpolate_defects", "outside_conditions", "read_variance_dn2", "require_size",
+           "saturation_of", "unchecked_conditions"]
 
 # Variance of rounding to whole DN (EMVA 1288, sigma_q^2).
 QUANTISATION_DN2 = 1 / 12
@@ -54,6 +54,12 @@ def read_variance_dn2(calmap: CalibrationMap) -> np.ndarray:
     return np.maximum(calmap.read_noise_dn**2, np.float32(QUANTISATION_DN2))
 
 
+def correction_warnings(frame: Frame, calmap: CalibrationMap) -> tuple[str, ...]:
+    """What has to be said of this frame's correction: conditions that could not be checked, dark charge that is not scaled."""
+    said = dark_seconds(frame, calmap)[1] if "dark_rate_dn_per_s" in calmap.measured else []
+    return (*unchecked_conditions(frame, calmap), *said)
+
+
 def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
     """The frame after the map. Layers that were not measured are identities and change nothing.
 
@@ -71,14 +77,11 @@ def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
         BadInput: the frame has another size than the map.
     """
     require_size(frame, calmap)
-    warnings = list(unchecked_conditions(frame, calmap))
-
     charge_dn, slope = linearise(frame.data.astype(np.float32) - calmap.offset_dn, calmap)
     signal_dn = charge_dn
     defects = calmap.defects
     if "dark_rate_dn_per_s" in calmap.measured:
-        seconds, said = dark_seconds(frame, calmap)
-        warnings += said
+        seconds, _ = dark_seconds(frame, calmap)
         if seconds is not None:
             signal_dn = charge_dn - calmap.dark_rate_dn_per_s * np.float32(seconds)
             defects = without_harmless(calmap, seconds)
@@ -97,7 +100,7 @@ def correct(frame: Frame, calmap: CalibrationMap) -> CorrectedFrame:
     else:
         variance_dn2 = np.full(signal_dn.shape, np.nan, np.float32)
     return CorrectedFrame(signal_dn=signal_dn / response, variance_dn2=variance_dn2, defects=defects,
-                          gain_dn_per_e=calmap.gain_dn_per_e, file=frame.file, warnings=tuple(warnings))
+                          gain_dn_per_e=calmap.gain_dn_per_e, file=frame.file, warnings=correction_warnings(frame, calmap))
 
 
 def interpolate_defects(signal: np.ndarray, defects: np.ndarray) -> np.ndarray:

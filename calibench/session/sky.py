@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 
-from ..calmap.correct import correct, outside_conditions
+from ..calmap.correct import correction_warnings, outside_conditions
 from ..errors import BadInput
 from ..io.observer import frame_observer, observer_at
 from ..io.star_cache import kept
@@ -15,7 +15,7 @@ from ..io.star_table import load_star_table
 from ..records import Attitude, CalibrationMap, Frame, Identification, Observer, Spots, StarTable, Station
 from ..stars.lost_in_space import LostInSpace
 from ..stars.sky_catalogue import SkyCatalogue
-from ..stars.solve import Lens, Solution, Solver
+from ..stars.solve import STAGES, Solution, Solver
 from .reading import read_or_reason
 
 
@@ -30,7 +30,8 @@ class Sky:
     table: StarTable = field(default_factory=load_star_table)
     station: Station | None = None
     finders: dict[str | None, LostInSpace] = field(default_factory=dict)
-    familiar: dict = field(default_factory=dict)
+    solvers: dict[tuple, Solver] = field(default_factory=dict)
+    bare: dict[tuple[int, int], CalibrationMap] = field(default_factory=dict)
 
     def finder(self, date_obs: str | None) -> LostInSpace:
         """The identifier for frames of that date (ISO 8601, UTC; None: J2000.0, no aberration)."""
@@ -57,26 +58,35 @@ class Sky:
 
     def solve(self, frame: Frame, calmap: CalibrationMap | None, *, fov_rad: float | None = None, settings: dict | None = None,
               read_s: float = 0.0) -> SolvedFrame:
-        """Correct and solve one frame; a lens fitted to it is the first guess for the next.
+        """Solve one frame; what its series shares (the sky's level, a lens fitted to it) serves the next.
 
         Raises:
             BadInput: the frame has another size than the map.
         """
-        start = perf_counter()
-        layers = calmap or CalibrationMap(image_size_px=frame.image_size_px)
-        corrected = correct(frame, layers)
-        timings = {"read": read_s, "correct": perf_counter() - start}
-        observer = self.observer_of(frame)
-        solver = Solver(finder=self.finder_of(frame, observer), familiar=self.familiar, **(settings or {}))
-        solution = solver.solve(corrected, Lens.of(layers, fov_rad), observer)
-        return SolvedFrame(frame=frame, observer=observer, solution=replace(solution, timings_s=timings | solution.timings_s),
-                           outside=outside_conditions(frame, layers), warnings=corrected.warnings)
+        layers, observer = self.map_for(frame, calmap), self.observer_of(frame)
+        solver = self._solver(settings or {}, self.finder_of(frame, observer))
+        solution = solver.solve(frame, layers, fov_rad=fov_rad, observer=observer)
+        return SolvedFrame(frame=frame, observer=observer, outside=outside_conditions(frame, layers),
+                           solution=replace(solution, timings_s={"read": read_s} | solution.timings_s),
+                           warnings=correction_warnings(frame, layers))
+
+    def map_for(self, frame: Frame, calmap: CalibrationMap | None) -> CalibrationMap:
+        """The map, or one of nothing where there is none: the same for all frames of a size, so that they are a series."""
+        if calmap is not None:
+            return calmap
+        return self.bare.setdefault(frame.image_size_px, CalibrationMap(image_size_px=frame.image_size_px))
+
+    def _solver(self, settings: dict, finder: LostInSpace) -> Solver:
+        key = tuple(sorted(settings.items()))
+        if key not in self.solvers:
+            self.solvers[key] = Solver(finder=finder, **settings)
+        self.solvers[key].finder = finder
+        return self.solvers[key]
 
 
 def _unread(path: Path, fault: BadInput, method: str) -> SolvedFrame:
     reason = f"cannot be read: {fault.what}"
-    stages = ("read", "correct", "detect", "identify", "attitude")
-    solution = Solution(file=str(path), spots=Spots.none(), timings_s=dict.fromkeys(stages, 0.0),
+    solution = Solution(file=str(path), spots=Spots.none(), timings_s=dict.fromkeys(("read", *STAGES), 0.0),
                         identification=Identification(status="rejected", method=method, reason=reason),
                         attitude=Attitude.unsolved(status="rejected", method=method, reason=reason))
     return SolvedFrame(frame=None, solution=solution)

@@ -16,6 +16,7 @@ import numpy as np
 from .detect.kernels import SEED_SIGMA, SHARPEST, SIDE
 from .threshold_map import ThresholdMap
 
+FALSE_ALARMS = 1.0  # a frame, asked for unless the caller says otherwise
 DRAWS = 8000
 TILT = 4.7  # the score about which is drawn
 MOST_PUSH = 3.0  # logarithm of the factor by which a pixel's electrons are tilted
@@ -36,6 +37,20 @@ class NoiseLaw:
     step_dn: float = 0.0
     normal_dn: float = 0.0
     whole_dn: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensitivity:
+    """How much a detector is to find. k_sigma: its threshold; None: the one at which noise of this law gives `false_alarms`
+    spots a frame, or its own where it cannot tell."""
+
+    k_sigma: float | None = None
+    false_alarms: float = FALSE_ALARMS
+    law: NoiseLaw = NoiseLaw()
+
+    def k_on(self, thresholds: ThresholdMap) -> float:
+        """The threshold in sigma on a threshold map."""
+        return k_for_false_alarms(thresholds, self.false_alarms, self.law) if self.k_sigma is None else self.k_sigma
 
 
 def k_for_false_alarms(thresholds: ThresholdMap, false_alarms: float, law: NoiseLaw) -> float:

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .cut import cut
+from .scene import Patches
+
 NODES = np.sqrt(0.6) / 2 * np.array([-1.0, 0.0, 1.0])
 NODE_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18
 STEPS = 12
@@ -32,18 +35,6 @@ class GaussianFit:
     covariance: np.ndarray
     chi2_per_dof: np.ndarray
     converged: np.ndarray
-
-
-def windows(image: np.ndarray, centre_xy: np.ndarray, radius: int) -> tuple[np.ndarray, np.ndarray]:
-    """Square windows (N, (2r+1)^2) about integer centres (N, 2), and their pixel coordinates (N, (2r+1)^2, 2).
-
-    Pixels outside the image are NaN (float images) or True (masks).
-    """
-    outside = True if image.dtype == bool else np.nan
-    padded = np.pad(image, radius, constant_values=outside)
-    dy, dx = np.mgrid[-radius:radius + 1, -radius:radius + 1].reshape(2, -1)
-    x, y = centre_xy[:, :1] + dx, centre_xy[:, 1:] + dy
-    return padded[y + radius, x + radius], np.stack([x, y], -1).astype(float)
 
 
 def _model(xy: np.ndarray, pixels: np.ndarray, s: np.ndarray, with_shape: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -80,12 +71,23 @@ def fit_gaussians(signal_dn: np.ndarray, floor_variance_dn2: np.ndarray, unusabl
         gain_dn_per_e: for the spot's own shot noise; NaN leaves it out. radius: half width of the window, px.
         model_error: relative misfit of the shape, added to the variance as (model_error * model)^2.
     """
-    n = len(xy_px)
-    centres = np.clip(np.rint(xy_px).astype(int), 0, [signal_dn.shape[1] - 1, signal_dn.shape[0] - 1])
-    data, pixels = windows(signal_dn.astype(float), centres, radius)
-    floor, _ = windows(floor_variance_dn2.astype(float), centres, radius)
-    bad, _ = windows(unusable, centres, radius)
-    bad |= ~np.isfinite(data)
+    w, h = signal_dn.shape[::-1]
+    centre = np.clip(np.rint(xy_px).astype(np.int64), 0, [w - 1, h - 1])
+    signal = cut(signal_dn, centre, radius, np.nan)
+    signal[cut(unusable, centre, radius, True)] = np.nan
+    floor = cut(floor_variance_dn2, centre, radius, 1.0)
+    return fit_patches(Patches(signal_dn=signal, floor_variance_dn2=floor, corner_xy=centre - radius), xy_px, moments_px2,
+                       gain_dn_per_e=gain_dn_per_e, free_shape=free_shape, model_error=model_error)
+
+
+def fit_patches(patches: Patches, xy_px: np.ndarray, moments_px2: np.ndarray, *, gain_dn_per_e: float,
+                free_shape: bool = False, model_error: float = 0.0) -> GaussianFit:
+    """`fit_gaussians` on windows that are cut out already."""
+    n, side = patches.signal_dn.shape[:2]
+    offset = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2)
+    pixels = (patches.corner_xy[:, None] + offset).astype(float)
+    data, floor = (a.reshape(n, side * side).astype(float) for a in (patches.signal_dn, patches.floor_variance_dn2))
+    bad = ~np.isfinite(data)
     data, floor = np.where(bad, 0.0, data), np.where(bad, 1.0, floor)
     shot = gain_dn_per_e if np.isfinite(gain_dn_per_e) else 0.0
     xy, s = np.array(xy_px, float), np.array(moments_px2, float)
@@ -122,7 +124,7 @@ def fit_gaussians(signal_dn: np.ndarray, floor_variance_dn2: np.ndarray, unusabl
             break
     inverse = np.linalg.inv(conditioned) / (scale[:, :, None] * scale[:, None, :])
     chi2 = (residual**2 * weight).sum(1) / np.maximum(count - p, 1)
-    wandered = np.max(np.abs(xy - xy_px), axis=1, initial=0) > radius
+    wandered = np.max(np.abs(xy - xy_px), axis=1, initial=0) > side // 2
     converged = (step_xy < 0.02) & (flux > 0) & ~wandered & (count > p) & np.isfinite(xy).all(1)
     return GaussianFit(xy_px=xy, flux_dn=flux, background_dn=background, moments_px2=s, covariance=inverse, chi2_per_dof=chi2,
                        converged=converged)

@@ -7,7 +7,7 @@ from math import erf, sqrt
 import numpy as np
 
 from ..kernels import any_order, compiled
-from ..records import SPOT_FLAGS
+from ..records import DEFECT_FLAGS, SPOT_FLAGS, UNUSABLE
 
 CLIP_SIGMA = 3.5  # at 3 the mean of skewed noise (a dark sky's few electrons) would lie 0.04 sigma * skewness too low
 CLIP_ROUNDS = 6
@@ -23,12 +23,15 @@ SHARPER_SIGMA = 5.0  # a centre above what the PSF allows by this many sigma ...
 SHARPER_BY = 1.15  # ... and by this factor, because the PSF map is not exact
 SATURATED, DEFECT, EDGE, BLEND, TRAIL, FIT_FAILED, COSMIC = (
     np.uint16(SPOT_FLAGS[name]) for name in ("saturated", "defect", "edge", "blend", "trail", "fit_failed", "cosmic"))
+SATURATED_PIXEL = np.uint16(DEFECT_FLAGS["saturated"])
+UNUSABLE_PIXEL = np.uint16(UNUSABLE)
+BROKEN_PIXEL = np.uint16(UNUSABLE & ~DEFECT_FLAGS["saturated"])
 
 
 @compiled
-def lose_others(xy, corner_xy, lost):
-    """Marks in lost (N, side, side), windows at corner_xy (N, 2), what lies nearer to another of the spots xy (N, 2)."""
-    side = lost.shape[1]
+def lose_others(xy, corner_xy, signal):
+    """Makes NaN in signal (N, side, side), windows at corner_xy (N, 2), what lies nearer to another of the spots xy (N, 2)."""
+    side = signal.shape[1]
     for n in range(len(xy)):
         for m in range(len(xy)):
             dx, dy = xy[m, 0] - xy[n, 0], xy[m, 1] - xy[n, 1]
@@ -39,7 +42,30 @@ def lose_others(xy, corner_xy, lost):
                     # beyond the line half way between the two
                     x, y = corner_xy[n, 0] + i - xy[n, 0] - dx / 2, corner_xy[n, 1] + j - xy[n, 1] - dy / 2
                     if x * dx + y * dy > 0:
-                        lost[n, j, i] = True
+                        signal[n, j, i] = np.nan
+
+
+@compiled
+def above_sky(signal, defects, corner_xy, background, noise, drifted, cell, louder, floor):
+    """Takes the sky off windows (N, n, n) float32 at corner_xy (N, 2), makes NaN what cannot be used, fills floor (N, n, n),
+    the variance of a pixel without stars.
+
+    background, noise: (H, W) float32. drifted: cells of `cell` px, how far the sky has moved since, in units of the noise;
+    louder: by which factor the noise has grown."""
+    h, w = background.shape
+    side = signal.shape[1]
+    for n in range(len(signal)):
+        for j in range(side):
+            for i in range(side):
+                x, y = corner_xy[n, 0] + i, corner_xy[n, 1] + j
+                floor[n, j, i] = 1.0
+                if x < 0 or y < 0 or x >= w or y >= h:
+                    continue
+                sigma = noise[y, x]
+                signal[n, j, i] -= background[y, x] + drifted[y // cell, x // cell] * sigma
+                floor[n, j, i] = (sigma * louder) ** 2
+                if defects[n, j, i] & UNUSABLE_PIXEL:
+                    signal[n, j, i] = np.nan
 
 
 @compiled
@@ -62,20 +88,27 @@ def gaussian_moments(xy, coefficients, degree, width, height, least, steepest, o
 
 
 @compiled
-def flag_spots(xy, peak_xy, ok, blend, elongation, signal, noise, saturated, broken, width, height, moments, gain, flags):
+def flag_spots(xy, peak_xy, ok, blend, elongation, signal, defects, noise, background, width, height, moments, gain, flags):
     """Fills flags (N,) uint16, as `spots/flags.py` describes them.
 
-    signal, saturated, broken: (N, 3, 3). moments: (N, 3), or (0, 3) where the PSF is not known."""
+    signal, defects: (N, 3, 3) about the peaks. background: (N,), what the fit found to be left. moments: (N, 3), or (0, 3)
+    where the PSF is not known."""
     for n in range(len(xy)):
         total = peak = 0.0
+        x, y = peak_xy[n, 0], peak_xy[n, 1]
         for j in range(3):
             for i in range(3):
-                total += signal[n, j, i]
-                if saturated[n, j, i]:
+                inside = 0 <= x + i - 1 < width and 0 <= y + j - 1 < height
+                value = signal[n, j, i]
+                if defects[n, j, i] & SATURATED_PIXEL:
                     flags[n] |= SATURATED
-                if broken[n, j, i]:
+                if defects[n, j, i] & BROKEN_PIXEL or (inside and not abs(value) < np.inf):
                     flags[n] |= DEFECT
-        x, y = peak_xy[n, 0], peak_xy[n, 1]
+                elif inside:
+                    value -= background[n] if ok[n] else 0.0
+                    total += value
+                    if i == 1 and j == 1:
+                        peak = value
         if min(x, y, width - 1 - x, height - 1 - y) < EDGE_PX:
             flags[n] |= EDGE
         if blend[n]:
@@ -93,7 +126,7 @@ def flag_spots(xy, peak_xy, ok, blend, elongation, signal, noise, saturated, bro
             # The peak pixel's part of the 3x3's light, at most, wherever in the pixel the spot stands.
             sx, sy = sqrt(2 * moments[n, 0]), sqrt(2 * moments[n, 1])
             allowed = erf(0.5 / sx) / erf(1.5 / sx) * erf(0.5 / sy) / erf(1.5 / sy)
-            total, peak = max(total, 1e-6), signal[n, 1, 1]
+            total = max(total, 1e-6)
             shot = gain * max(peak, 0.0) * (1 - allowed) ** 2
             sd = sqrt(noise[n] ** 2 * (1 + 8 * allowed**2) + shot) / total
             part = peak / total
@@ -195,17 +228,16 @@ def to_pixels(cells, cell, height, width):
 
 
 @any_order
-def drift(data, expected, noise, cell, every, columns_sum, level, count, smooth):
+def drift(data, expected, noise, cell, every, smooth):
     """How far a frame (H, W) lies above the expectation, from every `every`-th row.
-
-    Room to work in: columns_sum (3, W) float32; level, count (rows, columns) of cells, float64 zeros.
 
     Returns:
         mean square of (data - expected) / noise within the clip, as part of a Gaussian's; smooth (rows, columns), filled: its
         mean in each cell with the neighbours.
     """
     h, w = data.shape
-    rows, columns = level.shape
+    rows, columns = smooth.shape
+    level, count, columns_sum = np.zeros((rows, columns)), np.zeros((rows, columns)), np.empty((3, w), np.float32)
     squares = everywhere = 0.0
     limit = np.float32(CLIP_SIGMA)
     numbers, totals, square = columns_sum[0], columns_sum[1], columns_sum[2]

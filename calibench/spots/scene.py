@@ -1,18 +1,48 @@
-"""Scene: one frame made ready for centroids. Centroids: what comes back."""
+"""Scene: one frame made ready for centroids. Patches: its windows. Centroids: what comes back."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from ..records import PsfMap
+from .cut import cut
+
+NAN = np.float32(np.nan)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
-    """signal_dn (H, W): above background. floor_variance_dn2 (H, W): of a pixel without stars. unusable (H, W) bool.
-    psf: the PSF map; psf_known False: its shape is a guess and the frame's own stars must tell it."""
+class Patches:
+    """Windows of a scene: signal_dn (N, n, n) float32 above the background, NaN where a pixel cannot be used or lies beyond the
+    edge; floor_variance_dn2 (N, n, n) float32, of a pixel without the light of stars; corner_xy (N, 2): the frame's pixel
+    at [0, 0]. A centroider may write to them: they are its own."""
+
+    signal_dn: np.ndarray
+    floor_variance_dn2: np.ndarray
+    corner_xy: np.ndarray
+
+
+class Scene(Protocol):
+    """What a centroider asks for.
+
+    psf: the PSF map; psf_known False: its shape is a guess, and the moments shape_px2 (3,) hold in its place, or, where these
+    are None, what the frame's own stars tell (spots/frame_shape.py)."""
+
+    gain_dn_per_e: float
+    psf: PsfMap
+    psf_known: bool
+    shape_px2: np.ndarray | None
+
+    def patches(self, centre_xy: np.ndarray, radius: int) -> Patches:
+        """Windows of 2 radius + 1 pixels about integer centres (N, 2)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameScene:
+    """A whole corrected frame as a Scene. signal_dn (H, W): above background. floor_variance_dn2 (H, W): of a pixel without
+    stars. unusable (H, W) bool."""
 
     signal_dn: np.ndarray
     floor_variance_dn2: np.ndarray
@@ -20,6 +50,14 @@ class Scene:
     gain_dn_per_e: float
     psf: PsfMap
     psf_known: bool
+    shape_px2: np.ndarray | None = None
+
+    def patches(self, centre_xy: np.ndarray, radius: int) -> Patches:
+        """Windows of 2 radius + 1 pixels about integer centres (N, 2)."""
+        signal = cut(self.signal_dn, centre_xy, radius, NAN).astype(np.float32)
+        signal[cut(self.unusable, centre_xy, radius, True)] = NAN
+        floor = cut(self.floor_variance_dn2, centre_xy, radius, np.float32(1)).astype(np.float32)
+        return Patches(signal_dn=signal, floor_variance_dn2=floor, corner_xy=centre_xy - radius)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
-"""solve: from a corrected frame to an attitude, stage by stage, each timed.
+"""solve: from a raw frame and a map to an attitude, stage by stage, each timed.
 
-1. Spots: background, detection, centroids with covariance.                       (spots)
+1. Spots: raw pixels against the sky's level, centroids in corrected windows.     (find_stars)
+   Other detectors than `scan` want the whole frame corrected.                    (calmap, spots)
 2. Identification, lost in space, with the map's lens, a given field, or neither.  (lost_in_space)
    The pull of a star's neighbours joins its spot's covariance.                    (crowding)
 3. Attitude by the named method without outliers, its covariance and residuals.    (frame_attitude)
@@ -15,9 +16,11 @@ from time import perf_counter
 
 import numpy as np
 
+from ..calmap.correct import correct
 from ..geometry import projection, rotation, sphere
-from ..records import Attitude, CalibrationMap, CorrectedFrame, Frame, Identification, Intrinsics, Observer, PsfMap, Spots
-from ..spots.find import FALSE_ALARMS, find_spots
+from ..records import Attitude, CalibrationMap, Frame, Identification, Intrinsics, Observer, PsfMap, Spots
+from ..spots.false_alarms import FALSE_ALARMS
+from ..spots.find import find_spots
 from .astrometry import as_observed
 from .crowding import with_crowding
 from .find_stars import FindState, find_stars
@@ -26,6 +29,9 @@ from .lens_error import systematic
 from .lost_in_space import LostInSpace
 from .per_lens import per_lens
 from .view import horizontal_fov
+
+WITHOUT_CORRECTION = "scan"  # the detector that takes raw frames
+STAGES = ("correct", "detect", "identify", "attitude")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,49 +109,54 @@ class Solver:
     k_sigma: float | None = None
     false_alarms: float = FALSE_ALARMS
     familiar: dict[tuple[int, int], Intrinsics] = field(default_factory=dict)
-    series: FindState = field(default_factory=FindState)
+    series: FindState = field(init=False)
 
-    def solve(self, corrected: CorrectedFrame, lens: Lens, observer: Observer | None = None) -> Solution:
-        """Solve one corrected frame. observer: the frame's own, where it is more exact than that of the finder's sky.
+    def __post_init__(self) -> None:
+        self.series = FindState(k_sigma=self.k_sigma, false_alarms=self.false_alarms, centroider=self.centroider)
 
-        Raises:
-            UsageError: an unknown detector, centroider, identifier or attitude method.
-        """
-        size, start = corrected.signal_dn.shape[::-1], perf_counter()
-        spots = find_spots(corrected, lens.psf or PsfMap.unknown(size), psf_known=lens.psf is not None,
-                           detector=self.detector, centroider=self.centroider, k_sigma=self.k_sigma,
-                           false_alarms=self.false_alarms)
-        return self._from_spots(spots, size, corrected.file, lens, observer, [start, perf_counter()])
+    def solve(self, frame: Frame, calmap: CalibrationMap, *, fov_rad: float | None = None,
+              observer: Observer | None = None) -> Solution:
+        """Solve one raw frame through a map (of nothing, where there is none).
 
-    def solve_raw(self, frame: Frame, calmap: CalibrationMap, observer: Observer | None = None) -> Solution:
-        """Solve one raw frame of a series through the map, fast: only the windows about its spots are corrected (find_stars).
+        fov_rad: horizontal field, where the map has no lens. observer: the frame's own, where it is more exact than that of the
+        finder's sky.
 
         Raises:
-            BadInput: the frame has another size than the map. UsageError: an unknown identifier or attitude method.
+            BadInput: the frame has another size than the map. UsageError: an unknown detector, centroider, identifier or
+                attitude method.
         """
-        start = perf_counter()
-        spots = find_stars(frame, calmap, self.series)
-        return self._from_spots(spots, frame.image_size_px, frame.file, Lens.of(calmap), observer, [start, perf_counter()])
+        lens, clock = Lens.of(calmap, fov_rad), [perf_counter()]
+        if self.detector == WITHOUT_CORRECTION:
+            clock.append(clock[0])
+            spots = find_stars(frame, calmap, self.series)
+        else:
+            corrected = correct(frame, calmap)
+            clock.append(perf_counter())
+            spots = find_spots(corrected, lens.psf or PsfMap.unknown(frame.image_size_px), psf_known=lens.psf is not None,
+                               detector=self.detector, centroider=self.centroider, k_sigma=self.k_sigma,
+                               false_alarms=self.false_alarms)
+        clock.append(perf_counter())
+        return self._from_spots(spots, frame, lens, observer, clock)
 
-    def _from_spots(self, spots: Spots, size: tuple[int, int], file: str, lens: Lens, observer: Observer | None,
-                    clock: list[float]) -> Solution:
+    def _from_spots(self, spots: Spots, frame: Frame, lens: Lens, observer: Observer | None, clock: list[float]) -> Solution:
+        size = frame.image_size_px
         calibrated = lens.intrinsics is not None
         found = self.finder.identify(spots, size, lens=lens.intrinsics, fov_rad=lens.fov_rad, familiar=self.familiar.get(size))
         clock.append(perf_counter())
         observer = observer or self.finder.sky.observer
         if found.status == "solved":
-            found = replace(as_observed(found, self.finder.sky, observer), file=file,
+            found = replace(as_observed(found, self.finder.sky, observer), file=frame.file,
                             covariance_px2=with_crowding(found, self.finder, lens.psf))
             found, attitude = attitude_without_outliers(found, self.attitude_method, calibrated=calibrated)
             if not calibrated:
                 self.familiar[size] = found.intrinsics
         else:
-            found = replace(found, file=file)
+            found = replace(found, file=frame.file)
             attitude = Attitude.unsolved(status=found.status, method=self.attitude_method, reason=found.reason)
         pointing = {} if attitude.status != "solved" else pointing_of(found, attitude, observer)
         clock.append(perf_counter())
-        timings = dict(zip(("detect", "identify", "attitude"), np.diff(clock).tolist(), strict=True))
-        return Solution(file=file, spots=spots, identification=found, attitude=attitude, timings_s=timings,
+        timings = dict(zip(STAGES, np.diff(clock).tolist(), strict=True))
+        return Solution(file=frame.file, spots=spots, identification=found, attitude=attitude, timings_s=timings,
                         calibrated=calibrated, **pointing)
 
 

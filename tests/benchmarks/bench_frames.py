@@ -38,12 +38,12 @@ def rendered():
 def test_frames_a_second():
     render, sky, attitudes, frames = rendered()
     solver = Solver(finder=LostInSpace(sky=SkyCatalogue.seen_by(load_star_table(), Observer())))
-    solver.solve_raw(frames[0], render.MAP)
+    solver.solve(frames[0], render.MAP)
     solving, stages, following = [], [], []
     for _ in range(ROUNDS):
         for frame in frames:
             begin = time.process_time()
-            solution = solver.solve_raw(frame, render.MAP)
+            solution = solver.solve(frame, render.MAP)
             solving.append(time.process_time() - begin)
             assert solution.status == "solved"
             stages.append([solution.timings_s[name] for name in ("detect", "identify", "attitude")])
@@ -57,7 +57,7 @@ def test_frames_a_second():
             assert attitude.status == "solved"
     load = os.getloadavg()[0] / (os.cpu_count() or 1)
     print(f"\nload {load:.1f} a core; stages detect, identify, attitude {np.median(stages, 0) * 1e3} ms of wall time")
-    for name, times in (("solve_raw", solving), ("track", following)):
+    for name, times in (("solve", solving), ("track", following)):
         print(f"{name}: median {np.median(times) * 1e3:.2f} ms, {1 / np.median(times):.0f} frames/s; the fastest tenth "
               f"{np.quantile(times, 0.1) * 1e3:.2f} ms, {1 / np.quantile(times, 0.1):.0f} frames/s")
 

@@ -23,7 +23,7 @@ from calibench.records import CalibrationMap, Frame, PsfMap  # noqa: E402
 from calibench.spots.candidates import Candidates  # noqa: E402
 from calibench.spots.centroid import com, com_5x5, com_7x7, poisson, windowed  # noqa: E402
 from calibench.spots.fit.known_shape import fit_windows, window_radius  # noqa: E402
-from calibench.spots.scene import Scene  # noqa: E402
+from calibench.spots.scene import FrameScene  # noqa: E402
 from calibench.stars.find_stars import FindState, find_stars  # noqa: E402
 
 SPOTS = 10_000
@@ -101,7 +101,7 @@ def one(method, data, floor, gain, sigma):
     middle = np.stack([np.arange(len(data)) * side + HALF, np.full(len(data), HALF)], -1)
     peak = middle.copy()
     nothing = np.zeros(len(data))
-    scene = Scene(signal_dn=image, floor_variance_dn2=np.full(image.shape, np.float32(floor)), gain_dn_per_e=gain,
+    scene = FrameScene(signal_dn=image, floor_variance_dn2=np.full(image.shape, np.float32(floor)), gain_dn_per_e=gain,
                   unusable=np.zeros(image.shape, bool), psf=PsfMap.unknown(image.shape[::-1], sigma), psf_known=True)
     found = method.centroid(scene, Candidates(xy_px=middle.astype(float), peak_xy=peak, peak_dn=nothing, flux_dn=nothing,
                                               pixels=nothing, elongation=nothing, blend=nothing > 0))

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.special import erf
 
-from calibench.records import SPOT_FLAGS
+from calibench.records import DEFECT_FLAGS, SPOT_FLAGS
 from calibench.spots.candidates import Candidates
-from calibench.spots.flags import flag
+from calibench.spots.flags import Near, flag
 from calibench.spots.scene import Centroids
 
 N, SIZE, GAIN = 400, (300, 200), 0.5
@@ -23,10 +23,14 @@ def test_flags_are_their_plain_form():
     noise = rng.uniform(1, 5, N).astype(np.float32)
     saturated, broken = rng.random((2, N, 3, 3)) < 0.02
     moments = np.stack([rng.uniform(0.2, 1, N), rng.uniform(0.2, 1, N), np.zeros(N)], -1)
-    settings = dict(signal=signal, noise_dn=noise, saturated=saturated, broken=broken, image_size_px=SIZE, gain_dn_per_e=GAIN)
-    flags = flag(candidates, found, moments_px2=moments, **settings)
+    defects = (saturated * DEFECT_FLAGS["saturated"] + broken * DEFECT_FLAGS["hot"]).astype(np.uint16)
+    near = Near(signal_dn=signal, defects=defects, noise_dn=noise, background_dn=nothing)
+    flags = flag(candidates, found, near, moments_px2=moments, image_size_px=SIZE, gain_dn_per_e=GAIN)
 
     apart = np.linalg.norm(candidates.xy_px[:, None] - candidates.xy_px, axis=-1) + 99 * np.eye(N)
+    xy = peak[:, None, None] + np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), -1)
+    beyond = ((xy < 0) | (xy >= np.array(SIZE))).any(-1)
+    signal = np.where(beyond | broken, 0, signal)
     allowed = np.prod(erf(0.5 / np.sqrt(2 * moments[:, :2])) / erf(1.5 / np.sqrt(2 * moments[:, :2])), axis=1)
     light = signal.sum((1, 2))
     over = signal[:, 1, 1] / light - allowed
@@ -38,5 +42,5 @@ def test_flags_are_their_plain_form():
     for name, on in wanted.items():
         assert 0 < on.sum() < N, name
         np.testing.assert_array_equal((flags & SPOT_FLAGS[name]) != 0, on, name)
-    unknown = flag(candidates, found, moments_px2=None, **settings)
+    unknown = flag(candidates, found, near, moments_px2=None, image_size_px=SIZE, gain_dn_per_e=GAIN)
     np.testing.assert_array_equal(unknown, flags & ~np.uint16(SPOT_FLAGS["cosmic"]))

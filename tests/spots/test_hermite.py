@@ -10,7 +10,7 @@ from calibench.records import HermiteShape, PsfMap
 from calibench.spots import hermite
 from calibench.spots.candidates import Candidates
 from calibench.spots.centroid import psf_map
-from calibench.spots.scene import Scene
+from calibench.spots.scene import FrameScene
 
 SIZE = (101, 81)
 
@@ -61,7 +61,7 @@ def test_transfer_function_is_the_fourier_sum_of_the_image():
         assert hermite.transfer(found, one, np.array([frequency]))[0] == pytest.approx((dense * phase).sum(), abs=1e-5)
 
 
-def plain_fit(scene: Scene, xy: np.ndarray, radius: int) -> tuple[np.ndarray, np.ndarray]:
+def plain_fit(scene: FrameScene, xy: np.ndarray, radius: int) -> tuple[np.ndarray, np.ndarray]:
     """One spot, by numerical derivatives: x, y, flux, background and the covariance of x, y."""
     one, corner = scene.psf.hermite, np.rint(xy).astype(int) - radius
     columns, rows = corner[0] + np.arange(2 * radius + 1), corner[1] + np.arange(2 * radius + 1)
@@ -81,12 +81,12 @@ def plain_fit(scene: Scene, xy: np.ndarray, radius: int) -> tuple[np.ndarray, np
     return p, np.linalg.inv(normal)[:2, :2]
 
 
-def scene_of(xy: np.ndarray, flux_e: float, rng: np.random.Generator, one: HermiteShape) -> Scene:
+def scene_of(xy: np.ndarray, flux_e: float, rng: np.random.Generator, one: HermiteShape) -> FrameScene:
     gain, light = 0.2, np.zeros(SIZE[::-1])
     for (x, y), place in zip(xy, hermite.coefficients_at(one, xy, SIZE), strict=True):
         light += flux_e * hermite.image(place, one, np.arange(SIZE[0]) - x, np.arange(SIZE[1]) - y)
     data = gain * (rng.poisson(np.maximum(light, 0) + 30) - 30 + rng.normal(0, 5, light.shape))
-    return Scene(signal_dn=data.astype(np.float32), floor_variance_dn2=np.full(data.shape, gain**2 * 55, np.float32),
+    return FrameScene(signal_dn=data.astype(np.float32), floor_variance_dn2=np.full(data.shape, gain**2 * 55, np.float32),
                  unusable=np.zeros(data.shape, bool), gain_dn_per_e=gain, psf=psf(one), psf_known=True)
 
 

@@ -9,8 +9,9 @@ from scipy.spatial import cKDTree
 
 from ...records import SPOT_FLAGS, UNUSABLE, CorrectedFrame, PsfMap
 from ...spots.background import background_and_noise
+from ...spots.cut import cut
 from ...spots.find import find_spots
-from ...spots.gaussian_fit import fit_gaussians, windows
+from ...spots.gaussian_fit import fit_gaussians
 from .epsf import Windows
 
 START_SIGMA_PX = 1.0
@@ -80,14 +81,15 @@ def shapes(corrected: CorrectedFrame, image_size_px: tuple[int, int], *, k_sigma
         rejected[reason] = int((usable & bad).sum())
         usable &= ~bad
     centres = rough[usable]
-    data, pixels = windows(np.where(unusable, np.nan, signal).astype(float), centres, radius)
-    distance = np.linalg.norm(pixels - fit.xy_px[usable][:, None], axis=-1)
-    light = (data - fit.background_dn[usable][:, None]) / fit.flux_dn[usable][:, None]
+    data = cut(np.where(unusable, np.nan, signal).astype(float), centres, radius, np.nan)
+    along = np.arange(-radius, radius + 1) + (centres - fit.xy_px[usable])[:, :, None]
+    flat = len(data), (2 * radius + 1) ** 2
+    distance = np.hypot(along[:, 0, None, :], along[:, 1, :, None]).reshape(flat)
+    light = (data.reshape(flat) - fit.background_dn[usable][:, None]) / fit.flux_dn[usable][:, None]
     good = np.isfinite(data)
-    side = (len(data), 2 * radius + 1, 2 * radius + 1)
-    cut_out = Windows(data_dn=np.where(good, data, 0).reshape(side), good=good.reshape(side), corner_xy=centres - radius,
-                      floor_dn2=windows(floor, centres, radius)[0].reshape(side), xy_px=fit.xy_px[usable],
-                      flux_dn=fit.flux_dn[usable], background_dn=fit.background_dn[usable])
+    cut_out = Windows(data_dn=np.where(good, data, 0), good=good, corner_xy=centres - radius,
+                      floor_dn2=cut(floor, centres, radius, np.nan), xy_px=fit.xy_px[usable], flux_dn=fit.flux_dn[usable],
+                      background_dn=fit.background_dn[usable])
     return SpotShapes(xy_px=fit.xy_px[usable], moments_px2=fit.moments_px2[usable], flux_dn=fit.flux_dn[usable],
                       distance_px=distance, light=light, rejected=rejected, windows=cut_out)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from ..candidates import Candidates
-from ..cut import cut
 from ..scene import Centroids, Scene
 
 
@@ -13,10 +12,8 @@ def centre_of_mass(scene: Scene, candidates: Candidates, radius: int) -> Centroi
     """Position in windows of 2 radius + 1 pixels. Covariance follows from the pixels' variances; what the window cuts off
     biases the position (3x3: up to 0.25 px) and is not in it. The scene's background is taken as it is."""
     peak = np.ascontiguousarray(candidates.peak_xy, np.int64)
-    data = cut(scene.signal_dn, peak, radius, np.float32(np.nan)).astype(float)
-    variance = cut(scene.floor_variance_dn2, peak, radius, np.float32(np.nan)).astype(float)
-    lost = cut(scene.unusable, peak, radius, True) | ~np.isfinite(data)
-    light = np.where(lost | (data < 0), 0.0, data)
+    patches = scene.patches(peak, radius)
+    light, variance = np.fmax(patches.signal_dn.astype(float), 0.0), patches.floor_variance_dn2.astype(float)
     variance = np.where(light > 0, variance + light * np.nan_to_num(scene.gain_dn_per_e), 0.0)
     flux = light.sum((1, 2))
     safe = np.maximum(flux, 1e-12)

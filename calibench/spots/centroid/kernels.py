@@ -63,17 +63,18 @@ def _add(core, order, x, x_slope, y, y_slope, pixels, unit, by_x, by_y, line, li
 
 
 @compiled
-def fit_shapes(signal_dn, floor_dn2, bad, xy_px, core, wings, scale_px, wing_scale_px, gain_dn_per_e, misfit, radius):
+def fit_shapes(signal_dn, floor_dn2, xy_px, core, wings, scale_px, wing_scale_px, gain_dn_per_e, misfit, radius):
     """Poisson-weighted Gauss-Newton of x, y, flux and background, one spot after the other.
 
-    signal_dn, floor_dn2: (H, W) float32; bad (H, W) bool; xy_px (N, 2) start; core (N, P, P), wings (N, 3, 3): coefficients
-    [order along y, order along x] of each spot. misfit: of the shape, as a share of the peak: it adds to the variance of a
-    pixel (misfit F)^2 times its share of light and the peak's.
+    signal_dn, floor_dn2: (N, S, S) float32, windows, S a little larger than 2 radius + 1; signal NaN has no weight. xy_px
+    (N, 2) start, pixels of the window. core (N, P, P), wings (N, 3, 3): coefficients [order along y, order along x] of each
+    spot. misfit (N,): of the shape, as a share of the peak: it adds to the variance of a pixel (misfit F)^2 times its share
+    of light and the peak's.
 
     Returns (N, 9): x, y, flux_dn, background_dn, covariance xx, yy, xy (px^2), chi2 per degree of freedom, pixels used;
     NaN where the fit failed.
     """
-    height, width = signal_dn.shape
+    room = signal_dn.shape[1] - 2 * radius - 1
     count, top, side = len(xy_px), core.shape[1] - 1, 2 * radius + 1
     out = np.full((count, 9), np.nan)
     orders = np.arange(max(top, 2) + 1.0)
@@ -85,12 +86,13 @@ def fit_shapes(signal_dn, floor_dn2, bad, xy_px, core, wings, scale_px, wing_sca
     line, line_slope = np.empty(side), np.empty(side)
     normal, right, part = np.empty((4, 4)), np.empty(4), np.empty(4)
     for s in range(count):
-        px, py = xy_px[s, 0], xy_px[s, 1]
+        px, py, data, floor = xy_px[s, 0], xy_px[s, 1], signal_dn[s], floor_dn2[s]
         flux, background = 0.0, 0.0
         settled = False
         for step in range(STEPS):
             if step < 3:  # the window follows the first steps
-                left, above = int(round(px)) - radius, int(round(py)) - radius
+                left = min(max(int(round(px)) - radius, 0), room)
+                above = min(max(int(round(py)) - radius, 0), room)
             _along(left - px, scale_px, top, side, roots, edges, x, dx)
             _along(above - py, scale_px, top, side, roots, edges, y, dy)
             _along(left - px, wing_scale_px, 2, side, roots, edges, vx, dvx)
@@ -101,22 +103,24 @@ def fit_shapes(signal_dn, floor_dn2, bad, xy_px, core, wings, scale_px, wing_sca
             peak = unit.max()
             if step == 0:  # a linear start for the flux, unweighted
                 a = b = 0.0
-                for j in range(max(0, -above), min(side, height - above)):
-                    for i in range(max(0, -left), min(side, width - left)):
-                        if not bad[above + j, left + i]:
-                            a += unit[j, i] * signal_dn[above + j, left + i]
+                for j in range(side):
+                    for i in range(side):
+                        value = data[above + j, left + i]
+                        if value == value:
+                            a += unit[j, i] * value
                             b += unit[j, i] * unit[j, i]
                 flux = max(a / b, 1e-6) if b > 0.0 else 1e-6
             normal[:], right[:] = 0.0, 0.0
             chi2, pixels = 0.0, 0
-            shot = gain_dn_per_e + misfit * misfit * flux * peak
-            for j in range(max(0, -above), min(side, height - above)):
-                for i in range(max(0, -left), min(side, width - left)):
-                    if bad[above + j, left + i]:
+            shot = gain_dn_per_e + misfit[s] * misfit[s] * flux * peak
+            for j in range(side):
+                for i in range(side):
+                    value = data[above + j, left + i]
+                    if not value == value:
                         continue
                     model = flux * unit[j, i]
-                    weight = 1.0 / (floor_dn2[above + j, left + i] + shot * max(model, 0.0))
-                    residual = signal_dn[above + j, left + i] - background - model
+                    weight = 1.0 / (floor[above + j, left + i] + shot * max(model, 0.0))
+                    residual = value - background - model
                     part[0], part[1], part[2], part[3] = -flux * by_x[j, i], -flux * by_y[j, i], unit[j, i], 1.0
                     for m in range(4):
                         right[m] += weight * part[m] * residual

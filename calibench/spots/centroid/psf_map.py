@@ -13,6 +13,7 @@ from .. import hermite
 from ..candidates import Candidates
 from ..scene import Centroids, Scene
 from . import poisson
+from ._known_shape import own_patches
 from .kernels import fit_shapes
 
 SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX = 2, 7
@@ -27,11 +28,11 @@ def centroid(scene: Scene, candidates: Candidates) -> Centroids:
     shape = scene.psf.hermite
     radius = window_radius(shape)
     core, wings = matrices(shape, hermite.coefficients_at(shape, candidates.xy_px, scene.psf.image_size_px))
-    found = fit_shapes(np.ascontiguousarray(scene.signal_dn, np.float32),
-                       np.ascontiguousarray(scene.floor_variance_dn2, np.float32), np.ascontiguousarray(scene.unusable),
-                       np.ascontiguousarray(candidates.xy_px, float), core, wings, shape.scale_px,
-                       hermite.WING_FACTOR * shape.scale_px, float(np.nan_to_num(scene.gain_dn_per_e)),
-                       float(shape.core_residual), radius)
+    patches, misfit = own_patches(scene, candidates, radius + 1)
+    found = fit_shapes(patches.signal_dn, patches.floor_variance_dn2, np.ascontiguousarray(
+        candidates.xy_px - patches.corner_xy, float), core, wings, shape.scale_px, hermite.WING_FACTOR * shape.scale_px,
+                       float(np.nan_to_num(scene.gain_dn_per_e)), np.maximum(misfit, shape.core_residual), radius)
+    found[:, :2] += patches.corner_xy
     x, y, flux, background, xx, yy, xy, chi2, pixels = found.T
     scatter = np.sqrt(2 / np.maximum(pixels - 4, 1))
     wider = np.where(chi2 > 1 + SIGNIFICANT * scatter, chi2, 1.0)

@@ -11,10 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..candidates import Candidates
-from ..cut import cut
 from ..fit.known_shape import window_radius
-from ..frame_shape import shape_from_frame
-from ..psf import moments_at
+from ..frame_shape import moments_of
 from ..scene import Centroids, Scene
 
 ROUNDS = 30
@@ -25,15 +23,14 @@ LEAST_DETERMINANT = 1e-12
 
 def centroid(scene: Scene, candidates: Candidates) -> Centroids:
     """Position under a round window as wide as the spot, covariance, flux within it; background is the scene's."""
-    moments = moments_at(scene.psf, candidates.xy_px) if scene.psf_known else np.tile(
-        shape_from_frame(scene, candidates), (len(candidates), 1))
+    moments = moments_of(scene, candidates)
     width2 = (moments[:, :2].mean(1) + PIXEL_PX2)[:, None, None]
     radius = window_radius(moments) + 1
     centre = np.rint(candidates.xy_px).astype(np.int64)
-    data = cut(scene.signal_dn, centre, radius, np.float32(np.nan)).astype(float)
-    lost = cut(scene.unusable, centre, radius, True) | ~np.isfinite(data)
+    patches = scene.patches(centre, radius)
+    data, variance = patches.signal_dn.astype(float), patches.floor_variance_dn2.astype(float)
+    lost = np.isnan(data)
     light = np.where(lost, 0.0, data)
-    variance = cut(scene.floor_variance_dn2, centre, radius, np.float32(1)).astype(float)
     variance = np.where(lost, 0.0, variance + np.nan_to_num(scene.gain_dn_per_e) * np.maximum(light, 0))
     offset = np.arange(-radius, radius + 1.0)
     xy = candidates.xy_px - centre

@@ -1,1 +1,1 @@
-"""Open folder of spot detectors: `detect(signal_dn, noise_dn, unusable, k_sigma) -> Candidates`."""
+"""Open folder of spot detectors: `detect(signal_dn, noise_dn, unusable, sensitivity) -> Candidates`."""

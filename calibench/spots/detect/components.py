@@ -11,28 +11,23 @@ import numpy as np
 from scipy import ndimage
 
 from ..candidates import Candidates
-from ..false_alarms import NoiseLaw
+from ..false_alarms import Sensitivity
 
-OWN_K_SIGMA = 5.0
+OWN_K_SIGMA = 5.0  # of the smoothed noise, whatever rate is asked: about 0.1 false alarms a Mpixel on normal noise
 SMOOTH_SIGMA_PX = 1.0
 FEWEST_PIXELS = 3
 LARGEST_FRACTION = 2e-3  # of the frame's area; beyond it: a roof, a moon, a cloud
 SHARPEST = 0.85  # of the 3x3 signal in one pixel: a hot pixel, unless the optics are sharper than any star camera's
 
 
-def threshold(noise_dn: np.ndarray, unusable: np.ndarray, false_alarms: float, law: NoiseLaw) -> float:
-    """Threshold in sigma: its own 5 sigma of the smoothed noise, whatever was asked: about 0.1 a Mpixel on normal noise."""
-    return OWN_K_SIGMA
-
-
-def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, k_sigma: float) -> Candidates:
+def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, sensitivity: Sensitivity) -> Candidates:
     """Spots of a background-subtracted frame (H, W), local noise (H, W), unusable pixels (H, W) bool."""
     snr = np.where(unusable, 0.0, signal_dn / noise_dn).astype(np.float32)
     smooth = ndimage.gaussian_filter(snr, SMOOTH_SIGMA_PX, truncate=3)
     impulse = np.zeros((13, 13), np.float32)
     impulse[6, 6] = 1
     noise_gain = np.sqrt((ndimage.gaussian_filter(impulse, SMOOTH_SIGMA_PX, truncate=3) ** 2).sum())
-    labels, count = ndimage.label(smooth > k_sigma * noise_gain, structure=np.ones((3, 3)))
+    labels, count = ndimage.label(smooth > (sensitivity.k_sigma or OWN_K_SIGMA) * noise_gain, structure=np.ones((3, 3)))
     if count == 0:
         return Candidates.none()
     y, x = np.nonzero(labels)

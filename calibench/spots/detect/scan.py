@@ -13,25 +13,16 @@ from __future__ import annotations
 import numpy as np
 
 from ..candidates import Candidates
-from ..false_alarms import NoiseLaw, k_for_false_alarms
+from ..false_alarms import Sensitivity
 from ..room import Room
 from ..threshold_map import ThresholdMap, threshold_map
 from . import kernels
 
 
-def threshold(noise_dn: np.ndarray, unusable: np.ndarray, false_alarms: float, law: NoiseLaw) -> float:
-    """Threshold in sigma at which noise alone gives `false_alarms` spots a frame."""
-    return k_for_false_alarms(_flat(noise_dn, unusable), false_alarms, law)
-
-
-def _flat(noise_dn: np.ndarray, unusable: np.ndarray) -> ThresholdMap:
-    """Threshold map of a frame whose background is subtracted."""
-    return threshold_map(np.where(unusable, np.float32(np.nan), np.float32(0)), noise_dn, np.float32)
-
-
-def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, k_sigma: float) -> Candidates:
+def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, sensitivity: Sensitivity) -> Candidates:
     """Spots of a background-subtracted frame (H, W), local noise (H, W), unusable pixels (H, W) bool."""
-    return candidates_on(np.ascontiguousarray(signal_dn, np.float32), _flat(noise_dn, unusable), k_sigma)
+    thresholds = threshold_map(np.where(unusable, np.float32(np.nan), np.float32(0)), noise_dn, np.float32)
+    return candidates_on(np.ascontiguousarray(signal_dn, np.float32), thresholds, sensitivity.k_on(thresholds))
 
 
 def candidates_on(data: np.ndarray, thresholds: ThresholdMap, k_sigma: float, *, drift: np.ndarray | None = None,

@@ -10,24 +10,19 @@ from __future__ import annotations
 import numpy as np
 
 from ..candidates import Candidates
-from ..false_alarms import NoiseLaw
+from ..false_alarms import Sensitivity
 
-OWN_K_SIGMA = 5.0
+OWN_K_SIGMA = 5.0  # of the frame, whatever rate is asked: the scatter of a scene promises none
 FEWEST_PIXELS = 4
 
 
-def threshold(noise_dn: np.ndarray, unusable: np.ndarray, false_alarms: float, law: NoiseLaw) -> float:
-    """Threshold in sigma: its own 5 sigma of the frame, whatever was asked: the scatter of a scene promises no rate."""
-    return OWN_K_SIGMA
-
-
-def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, k_sigma: float) -> Candidates:
+def detect(signal_dn: np.ndarray, noise_dn: np.ndarray, unusable: np.ndarray, sensitivity: Sensitivity) -> Candidates:
     """Spots of a background-subtracted frame (H, W). `noise_dn` is not used: the thesis takes the frame's own sigma."""
     image = np.where(unusable, 0.0, signal_dn)
     h, w = image.shape
     if min(h, w) < 3:
         return Candidates.none()
-    threshold = image.mean() + k_sigma * image.std()
+    threshold = image.mean() + (sensitivity.k_sigma or OWN_K_SIGMA) * image.std()
     rows, columns = np.nonzero(image[1:-1:2, 1:-1:2] > threshold)
     y, x = 2 * rows + 1, 2 * columns + 1
     offsets = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]

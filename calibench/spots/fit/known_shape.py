@@ -8,7 +8,6 @@ from ..scene import Centroids
 from .kernels import LARGEST_ORDER, fit_known_shape
 
 SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX = 2, 8
-LOST_CORE_ERROR = 0.1  # relative: how well the wings of a PSF are known, which alone are left of a saturated spot
 
 
 def window_radius(moments_px2: np.ndarray) -> int:

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...calmap.assemble import LAYER_GROUPS, without_layer
-from ...calmap.correct import correct
 from ...records import CalibrationMap
 from ...stars.lost_in_space import LostInSpace
-from ...stars.solve import Lens, Solution, Solver
+from ...stars.solve import Solution, Solver
 from ..case import SkyCase, Trial, cross_error_rad, roll_error_rad
 
 ARCSEC = 180 * 3600 / np.pi
@@ -53,9 +52,9 @@ def attempt(name: str, cases: Sequence[SkyCase], calmap: CalibrationMap, finders
     solutions, errors, rolls, matches, residual_px, residual_rad, wrong = [], [], [], [], [], [], 0
     solver = None
     for case in cases:
-        finder = finders(case)
-        solver = Solver(finder=finder, familiar=solver.familiar if solver else {}, **settings)
-        solution = solver.solve(correct(case.frame, calmap), Lens.of(calmap))
+        solver = solver or Solver(finder=finders(case), **settings)
+        solver.finder = finders(case)
+        solution = solver.solve(case.frame, calmap)
         tick()
         solutions.append(solution)
         if solution.status != "solved":
