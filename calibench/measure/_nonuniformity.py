@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from .kernels import rest_moments
+
 BINOMIAL = np.array([0.25, 0.5, 0.25])
 IQR_EFFICIENCY = 0.37  # information of the interquartile range against the sample variance, of normal values
 KINDS = {"raw": "no high-pass, all pixels", "1288": "EMVA 1288 R4 Linear 8, high-passed, all pixels",
@@ -56,7 +58,8 @@ def high_pass(image: np.ndarray) -> np.ndarray:
     """Image (H, W) minus its smoothed self (release 4, 8.1); borders reflected."""
     smooth = cv2.blur(image, (7, 7), borderType=cv2.BORDER_REFLECT)
     smooth = cv2.blur(smooth, (11, 11), borderType=cv2.BORDER_REFLECT)
-    return image - cv2.sepFilter2D(smooth, -1, BINOMIAL, BINOMIAL, borderType=cv2.BORDER_REFLECT)
+    smooth = cv2.sepFilter2D(smooth, -1, BINOMIAL, BINOMIAL, borderType=cv2.BORDER_REFLECT)
+    return np.subtract(image, smooth, out=smooth)
 
 
 def spatial_core(filtered: np.ndarray, temporal_variance_of_mean: float, of_all: Parts) -> Spatial:
@@ -85,31 +88,25 @@ def split(image: np.ndarray, temporal_variance_of_mean: float, *, filtered: bool
     pixels' variance too, and so on (release 4, 8.1).
     """
     h, w = image.shape
+    image = np.ascontiguousarray(image, np.float32).view()
+    image.flags.writeable = False  # one compiled form serves all
     whole, line, wider, line_wider = (NOISE_GAIN, LINE_NOISE_GAIN, WIDER, LINE_WIDER) if filtered else (1.0,) * 4
     t = temporal_variance_of_mean
-    s2 = float(np.var(image)) - whole * t
-    column_means, row_means = image.mean(axis=0), image.mean(axis=1)
+    column_means, row_means = (cv2.reduce(image, axis, cv2.REDUCE_AVG, dtype=cv2.CV_64F).ravel() for axis in (0, 1))
     columns, rows = float(np.var(column_means)), float(np.var(row_means))
+    second, fourth = (total / (h * w) for total in rest_moments(image, column_means - column_means.mean(), row_means))
+    s2 = second + columns + rows - whole * t
     of_columns, of_rows = columns - line * t / h, rows - line * t / w
     rest = h * w - h - w
     column = ((h * w - h) * of_columns - w * (s2 - of_rows)) / rest
     row = ((h * w - w) * of_rows - h * (s2 - of_columns)) / rest
     pixel = h * w * (s2 - of_columns - of_rows) / rest
     column_error, row_error = columns * np.sqrt(2 * line_wider / (w - 1)), rows * np.sqrt(2 * line_wider / (h - 1))
-    rest_image = image - column_means
-    rest_image -= row_means[:, None]
     lost = (1 - 1 / h) * (1 - 1 / w)  # with the means, the image has lost as much of its pixels' variance
-    pixel_error = _variance_error(rest_image) * float(np.sqrt(wider / lost)) / lost
+    # by the fourth moment: a few hot pixels make it large
+    pixel_error = float(np.sqrt(max(fourth - second**2, 0.0) / (h * w) * wider / lost)) / lost
     return Parts(total=_spatial(s2, float(np.sqrt(pixel_error**2 + column_error**2 + row_error**2))),
                  row=_spatial(row, row_error), column=_spatial(column, column_error), pixel=_spatial(pixel, pixel_error))
-
-
-def _variance_error(image: np.ndarray) -> float:
-    """1-sigma error of the variance over the pixels, by the fourth moment: a few hot pixels make it large."""
-    square = image - image.mean()
-    square *= square
-    fourth = float(np.vdot(square, square)) / image.size
-    return float(np.sqrt(max(fourth - float(square.mean()) ** 2, 0.0) / image.size))
 
 
 def _spatial(variance: float, error: float) -> Spatial:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels import compiled
+from ..kernels import any_order, compiled
 
 BLOCK = 2048
 
@@ -77,3 +77,16 @@ def band_sums(data, band_px, bands):
             for x in range(data.shape[1]):
                 count += line[x] == most
     return largest, count
+
+
+@any_order
+def rest_moments(image, columns, rows):
+    """Sums of r^2 and r^4 over image (H, W) float32, r: pixel minus its column's (W,) and its row's (H,) value, float64."""
+    second, fourth = 0.0, 0.0
+    for y in range(image.shape[0]):
+        line, row = image[y], rows[y]
+        for x in range(image.shape[1]):
+            r = np.float64(line[x]) - columns[x] - row
+            second += r * r
+            fourth += (r * r) * (r * r)
+    return second, fourth

@@ -20,6 +20,7 @@ from ..records import CalibrationMap, Frame, Measurement, Quantity
 from ._dark.darkness import check_dark
 from ._dark.limits import MAX_EXPOSURE_S
 from ._frames.ledger import Ledger
+from ._frames.stack import mean_image
 from ._photon.curve import FITTED_FILL, Curve, Darks, darks_of
 from ._photon.levels import Level, Levels
 from ._photon.linearity import correction
@@ -140,7 +141,8 @@ def _refuse_swapped(lit: list[Level], dark: list[Level]) -> None:
 
 def _image(gathered: Levels, plane: int, dark: bool) -> Image | None:
     stack = gathered.stacks.get(dark)
-    return None if stack is None else Image(mean_dn=stack.totals[plane] / stack.levels[plane].count, level=stack.levels[plane])
+    return None if stack is None else Image(mean_dn=mean_image(stack.totals[plane], stack.levels[plane].count),
+                                             level=stack.levels[plane])
 
 
 def _all_planes(planes: dict[str, Plane]) -> tuple[Quantity, ...]:

@@ -61,3 +61,18 @@ def test_a_few_hot_pixels_widen_the_error_of_the_standard_figure():
         image[rng.random(image.shape) < 5e-3] += 30
         found.append(spatial.of_each_kind(image, 0.0)["1288"])
     assert np.std([f.sd for f in found]) == pytest.approx(np.mean([f.uncertainty for f in found]), rel=0.25)
+
+
+def test_the_split_is_that_of_release_4_in_plain_numpy():
+    image = np.random.default_rng(7).normal(2000, 5, (61, 83)).astype(np.float32)
+    h, w = image.shape
+    plain = image.astype(float)
+    s2, columns, rows = plain.var(), plain.mean(axis=0).var(), plain.mean(axis=1).var()
+    rest = plain - plain.mean(axis=0) - plain.mean(axis=1, keepdims=True) + plain.mean()
+    found = spatial.split(image, 0.0, filtered=False)
+    assert found.total.signed_variance == pytest.approx(s2, rel=1e-9)
+    assert found.column.signed_variance == pytest.approx(((h * w - h) * columns - w * (s2 - rows)) / (h * w - h - w), rel=1e-9)
+    assert found.row.signed_variance == pytest.approx(((h * w - w) * rows - h * (s2 - columns)) / (h * w - h - w), rel=1e-9)
+    lost = (1 - 1 / h) * (1 - 1 / w)
+    error = np.sqrt(((rest**4).mean() - (rest**2).mean() ** 2) / (h * w) / lost) / lost
+    assert found.pixel.uncertainty == pytest.approx(error / (2 * found.pixel.sd), rel=1e-9)

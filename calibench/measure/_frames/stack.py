@@ -40,8 +40,7 @@ class Series:
     @property
     def mean_dn(self) -> np.ndarray:
         """(H, W) float32, made anew at each call."""
-        out = np.empty(self.stack.sum_dn.shape, np.float32)  # by parts in float64, so that equal means stay equal
-        return np.divide(self.stack.sum_dn, self.stack.count, out=out, dtype=np.float64, casting="unsafe")
+        return mean_image(self.stack.sum_dn, self.stack.count)
 
 
 class Accumulator:
@@ -177,6 +176,12 @@ class Accumulator:
             raise BadInput(f"more than {n - 1} frames of values this wide do not fit into exact sums", file=file,
                            mend="give fewer frames")
         self._widest = x
+
+
+def mean_image(sum_dn: np.ndarray, count: int) -> np.ndarray:
+    """(H, W) float32 mean of `count` frames from their sum; equal sums give equal means."""
+    out = np.empty(sum_dn.shape, np.float32)  # by parts in float64
+    return np.divide(sum_dn, count, out=out, dtype=np.float64, casting="unsafe")
 
 
 def accumulate(frames: Iterable[Frame]) -> FrameStack:
