@@ -56,16 +56,17 @@ def light_ladder():
     """Function that gives the frames of a photon transfer series of a linear sensor, one by one, darks last.
 
     dsnu, prnu: sd of (pixels, rows, columns) in e- and as a part of the response. bend: of the response at full range.
+    coupling, lag: part of a charge that shows in each of its four neighbours, that is read with the next frame.
     """
     def frames(seed, *, size_px=(96, 64), levels=20, stack=30, gain=0.25, qe=0.6, read_e=4.0, offset_dn=60.0, bits=12,
                dsnu=(3.0, 1.0, 1.5), prnu=(0.01, 0.004, 0.003), rate_e_per_s=20.0, reach=1.1, well_e=np.inf, longest_s=0.02,
-               bend=0.0, share=0.0, flicker=0.0, bayer=None, darks=True):
+               bend=0.0, share=0.0, coupling=0.0, lag=0.0, flicker=0.0, bayer=None, darks=True):
         rng, (w, h) = np.random.default_rng(seed), size_px
         shapes = ((h, w), (h, 1), (1, w))
         pattern_e, response = (sum(sd * rng.standard_normal(shape) for sd, shape in zip(sds, shapes, strict=True))
                                for sds in (dsnu, prnu))
         pattern_e, response = pattern_e - pattern_e.mean(), 1 + response - response.mean()
-        white = 2**bits - 1
+        white, left_e = 2**bits - 1, 0.0
         full_e = (white - offset_dn) / gain
         for kind in ("flat", "dark") if darks else ("flat",):
             for i, t in enumerate(np.linspace(longest_s / levels, longest_s, levels)):
@@ -74,6 +75,9 @@ def light_ladder():
                     light = qe * photons * response * (1 + flicker * rng.standard_normal())
                     e = np.minimum(rng.poisson(light + rate_e_per_s * t), well_e)
                     e = e - share * (e - np.roll(e, 1, axis=1))  # a part of each charge is read with the next pixel
+                    e, left_e = (1 - lag) * e + left_e, lag * e
+                    for axis in (0, 1) if coupling else ():
+                        e = e + coupling * (np.roll(e, 1, axis) + np.roll(e, -1, axis) - 2 * e)
                     e = e * (1 - bend * e / full_e) + read_e * rng.standard_normal((h, w)) + pattern_e
                     data = np.rint(gain * e + offset_dn).clip(0, white).astype(np.uint16)
                     yield Frame(data=data, kind=kind, bit_depth=bits, white_level_dn=white, exposure_s=float(t),

@@ -9,6 +9,9 @@ import numpy as np
 from ..errors import BadInput
 from ..records import CalibrationMap, Frame, Quantity
 
+# figures that may have become the map's gain
+MEASURED = ("transfer.gain_crosstalk_corrected_dn_per_e", "transfer.gain_dn_per_e", "flat.gain_dn_per_e")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Gain:
@@ -43,8 +46,9 @@ def known_gain(calmap: CalibrationMap | None, frame: Frame) -> Gain:
         if theirs is not None and mine is not None and theirs != mine:
             raise BadInput(f"gain setting {mine:g}, but the map's gain was measured at {theirs:g}", file=frame.file or None,
                            mend="use a map of the same gain setting, or measure flats at this one")
-        figure = calmap.quantities.get("transfer.gain_dn_per_e") or calmap.quantities.get("flat.gain_dn_per_e")
-        return Gain(dn_per_e=calmap.gain_dn_per_e, uncertainty=(figure and figure.uncertainty) or 0.0, origin="the map")
+        figures = [calmap.quantities.get(name) for name in MEASURED]
+        error = next((q.uncertainty for q in figures if q and q.value and np.isclose(q.value, calmap.gain_dn_per_e)), None)
+        return Gain(dn_per_e=calmap.gain_dn_per_e, uncertainty=error or 0.0, origin="the map")
     if frame.egain_e_per_dn:
         return Gain(dn_per_e=1 / frame.egain_e_per_dn, origin="EGAIN in the frames")
     return Gain(dn_per_e=np.nan)

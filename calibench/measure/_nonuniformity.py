@@ -16,6 +16,7 @@ import numpy as np
 from .kernels import rest_moments
 
 BINOMIAL = np.array([0.25, 0.5, 0.25])
+NEGATIVE = "negative variance estimate {:.3g} {}: given as 0, the uncertainty is an upper limit of 1 sigma"
 IQR_EFFICIENCY = 0.37  # information of the interquartile range against the sample variance, of normal values
 KINDS = {"raw": "no high-pass, all pixels", "1288": "EMVA 1288 R4 Linear 8, high-passed, all pixels",
          "core": "high-passed, interquartile range"}

@@ -21,6 +21,7 @@ from ._dark.darkness import check_dark
 from ._dark.limits import MAX_EXPOSURE_S
 from ._frames.ledger import Ledger
 from ._frames.stack import mean_image
+from ._photon.crosstalk import STEPS
 from ._photon.curve import FITTED_FILL, Curve, Darks, darks_of
 from ._photon.levels import Level, Levels
 from ._photon.linearity import correction
@@ -31,6 +32,7 @@ FEW_LEVELS = 9
 DARK_STEPS = 4.0
 FLICKER, DIM = 0.002, 0.05  # relative scatter of the frames of a level, at this part of saturation and above
 CORRELATED, CORRELATED_SIGMA = 0.01, 5.0
+GAINS = ("gain_crosstalk_corrected_dn_per_e", "gain_dn_per_e")  # the first that is known goes into the map
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,8 +68,8 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         planes[name] = analyse(lit, darks, dark, bright, first.white_level_dn)
     curves = [plane.curve for plane in planes.values()]
     quantities = _all_planes(planes)
-    gain = next(q for q in quantities if q.name == "gain_dn_per_e")
-    layers = {"gain_dn_per_e": gain.value}
+    gains = {q.name: q.value for q in quantities if q.name in GAINS}
+    layers = {"gain_dn_per_e": next(gains[name] for name in GAINS if gains[name])}
     if all(c.saturation is not None for c in curves):
         layers["saturation_dn"] = min(_saturation_dn(c) for c in curves)
     linear = correction(curves)
@@ -126,7 +128,8 @@ def _darks(levels: list[Level], calmap: CalibrationMap | None, first: Frame, pla
     offset, rate, noise = (float(np.mean(getattr(calmap, n)[place].astype(float) ** p)) for n, p in (
         ("offset_dn", 1), ("dark_rate_dn_per_s", 1), ("read_noise_dn", 2)))
     t = np.array([0.0, 1.0])
-    return Darks(exposure_s=t, mean_dn=offset + rate * t, mean_error_dn=np.full(2, 1e-9), variance_dn2=np.full(2, noise),
+    return Darks(exposure_s=t, correlation=np.zeros(len(STEPS)),
+                 mean_dn=offset + rate * t, mean_error_dn=np.full(2, 1e-9), variance_dn2=np.full(2, noise),
                  variance_error_dn2=np.full(2, noise * np.sqrt(2 / calmap.read_noise_dn[place].size)))
 
 
@@ -166,6 +169,22 @@ def _saturation_dn(curve: Curve) -> float:
     return curve.top_dn if curve.saturated_by.startswith("last") else float(curve.mean_dn[curve.saturation])
 
 
+def _correlated(which: str, plane: Plane) -> list[str]:
+    """What correlated noise does to the gain, between pixels and between frames."""
+    out = []
+    if plane.crosstalk.gain.value:
+        right, lower = (f"{figure.value:+.3f}" for figure in plane.crosstalk.correlation)
+        low = 100 * (1 - plane.gain.value / plane.crosstalk.gain.value)
+        out.append(f"{which}the photon noise of neighbouring pixels is correlated (right {right}, lower {lower}): crosstalk, "
+                   f"or processed frames. The standard's gain is low by {low:.1f} %, QE and noises in e- are high by as much; "
+                   "the map takes gain_crosstalk_corrected_dn_per_e")
+    late = plane.lag
+    if late.value is not None and abs(late.value) > max(CORRELATED, CORRELATED_SIGMA * late.error):
+        out.append(f"{which}the noise of consecutive frames is correlated by {late.value:+.3f} (image lag?): the gain from "
+                   f"pairs is off by about {-300 * late.value:.1f} %")
+    return out
+
+
 def _warnings(ledger: Ledger, planes: dict[str, Plane], settings: Settings, linear: np.ndarray | None) -> tuple[str, ...]:
     first, out = ledger.first, list(ledger.warnings)
     curve = next(iter(planes.values())).curve
@@ -185,11 +204,7 @@ def _warnings(ledger: Ledger, planes: dict[str, Plane], settings: Settings, line
         which = f"plane {name}: " if name else ""
         if plane.gain.reason:
             out.append(f"{which}gain: {plane.gain.reason}")
-        smear = 2 * sum(figure.value for figure in plane.correlation)
-        if abs(smear) > CORRELATED and abs(smear) > CORRELATED_SIGMA * 2 * np.hypot(*(f.error for f in plane.correlation)):
-            right, lower = (f"{figure.value:+.3f}" for figure in plane.correlation)
-            out.append(f"{which}the temporal noise of neighbouring pixels is correlated (right {right}, lower {lower}): the "
-                       f"gain is off by about {-100 * smear:.1f} %; crosstalk, or processed frames?")
+        out += _correlated(which, plane)
     if linear is not None:
         out.append("the response bends: a correction of it goes into the map")
     lens = {"yes": "a lens was mounted: figures of the whole system, its shading included", "no": ""}.get(

@@ -75,7 +75,7 @@ def prnu(level: Level, bayer_pattern: str | None) -> list[Quantity]:
             continue
         found = spatial.pooled([of_kind[kind] for of_kind in by_plane])
         percent2 = 1e4 * found.signed_variance
-        note = "" if percent2 >= 0 else f"negative variance estimate {percent2:.3g} %^2, given as 0"
+        note = "" if percent2 >= 0 else spatial.NEGATIVE.format(percent2, "%^2")
         out.append(Quantity(name=name, value=100 * found.sd, uncertainty=100 * found.uncertainty, unit="%", symbol="PRNU",
                             source=text, reason=note))
     return out

@@ -22,9 +22,11 @@ CLEARLY_MORE = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class Darks:
-    """What lies below the light: levels of dark frames, or what a map knows.
+    """What lies below the light: levels of dark frames, or what a map knows. correlation: (6,) of the noise at the shortest
+    exposure with the neighbours at `crosstalk.STEPS`, 0 where only a map is known.
 
-    at: exposure in s -> (mean DN, variance DN^2, error of the variance, own), own: from darks of that exposure.
+    at: exposure in s -> (mean DN, its error, variance DN^2, its error, own), own: from darks of that exposure. The errors leave
+    out what darks that serve all levels have in common.
     """
 
     exposure_s: np.ndarray
@@ -32,21 +34,23 @@ class Darks:
     mean_error_dn: np.ndarray
     variance_dn2: np.ndarray
     variance_error_dn2: np.ndarray
+    correlation: np.ndarray
 
-    def at(self, exposure_s: float | None) -> tuple[float, float, float, bool]:
+    def at(self, exposure_s: float | None) -> tuple[float, float, float, float, bool]:
         """Raises BadInput where the exposure is neither among the darks nor can be interpolated."""
         known = np.isfinite(self.exposure_s)
         if exposure_s is None or not known.any():
-            return float(self.mean_dn[0]), float(self.variance_dn2[0]), float(self.variance_error_dn2[0]), False
+            return float(self.mean_dn[0]), 0.0, float(self.variance_dn2[0]), float(self.variance_error_dn2[0]), False
         near = int(np.nanargmin(np.abs(self.exposure_s - exposure_s)))
         if abs(self.exposure_s[near] - exposure_s) <= SAME_EXPOSURE * exposure_s:
-            return float(self.mean_dn[near]), float(self.variance_dn2[near]), float(self.variance_error_dn2[near]), True
+            own = (self.mean_dn, self.mean_error_dn, self.variance_dn2, self.variance_error_dn2)
+            return *(float(values[near]) for values in own), True
         t = self.exposure_s[known]
         if len(t) < 2:
             raise BadInput(f"light of {exposure_s:g} s, but darks of {t[0]:g} s only",
                            mend="add darks of each exposure, or of several exposures")
         mean, variance = (np.polyval(np.polyfit(t, y[known], 1), exposure_s) for y in (self.mean_dn, self.variance_dn2))
-        return float(mean), float(variance), 0.0, False
+        return float(mean), 0.0, float(variance), 0.0, False
 
 
 def darks_of(levels: Sequence[Level]) -> Darks:
@@ -55,7 +59,7 @@ def darks_of(levels: Sequence[Level]) -> Darks:
     return Darks(exposure_s=np.array([np.nan if v.exposure_s is None else v.exposure_s for v in levels]),
                  mean_dn=np.array([v.mean_dn for v in levels]), mean_error_dn=np.array([_mean_error_dn(v) for v in levels]),
                  variance_dn2=np.array([v.variance_dn2 for v in levels]),
-                 variance_error_dn2=np.array([v.variance_error_dn2 for v in levels]))
+                 variance_error_dn2=np.array([v.variance_error_dn2 for v in levels]), correlation=levels[0].correlation)
 
 
 def _mean_error_dn(level: Level) -> float:
@@ -69,8 +73,9 @@ class Curve:
     """Levels of light, the dimmest first, (K,) each.
 
     light: in `light_unit` ("photons" or "s"; "" where neither is known, then NaN). signal_dn, variance_dn2: above dark;
-    variance_error_dn2: 1-sigma, without the part that all levels share. saturation: index of the level of R4's rule, None where
-    none was reached; `saturated_by` says how. own_dark: each level has darks of its own exposure.
+    variance_error_dn2: 1-sigma, without the part that all levels share. correlation: (K, 6) of the noise with the neighbours at
+    `crosstalk.STEPS`, NaN where not looked for; dark_correlation: (6,) of the dark below. saturation: index of the level of R4's
+    rule, None where none was reached; `saturated_by` says how. own_dark: each level has darks of its own exposure.
     """
 
     light: np.ndarray
@@ -84,6 +89,7 @@ class Curve:
     at_top: np.ndarray
     flicker: np.ndarray
     correlation: np.ndarray
+    dark_correlation: np.ndarray
     saturation: int | None
     saturated_by: str
     top_dn: float
@@ -117,7 +123,7 @@ def curve_of(levels: Sequence[Level], darks: Darks, white_level_dn: float) -> Cu
     order = np.argsort(light if unit else [v.mean_dn for v in levels], kind="stable")
     levels, light = [levels[i] for i in order], light[order]
     below = [darks.at(v.exposure_s) for v in levels]
-    dark, dark_variance, dark_error, own = (np.array(x) for x in zip(*below, strict=True))
+    dark, dark_mean_error, dark_variance, dark_error, own = (np.array(x) for x in zip(*below, strict=True))
     mean, noise, error = (np.array([getattr(v, n) for v in levels]) for n in ("mean_dn", "variance_dn2", "variance_error_dn2"))
     own_dark = bool(own.all()) and len(set(exposures)) == len(levels)
     top = max(v.top_dn for v in levels)
@@ -126,9 +132,10 @@ def curve_of(levels: Sequence[Level], darks: Darks, white_level_dn: float) -> Cu
     flicker = np.array([np.std(v.frame_means_dn, ddof=1) for v in levels]) / np.maximum(mean - dark, 1.0)
     return Curve(
         light=light, light_unit=unit, mean_dn=mean, signal_dn=mean - dark, variance_dn2=noise - dark_variance,
-        signal_error_dn=np.sqrt([v.variance_dn2 / (v.count * v.pixels) for v in levels]), noise_dn2=noise, at_top=at_top,
+        signal_error_dn=np.hypot([_mean_error_dn(v) for v in levels], dark_mean_error), noise_dn2=noise, at_top=at_top,
         variance_error_dn2=np.hypot(error, dark_error) if own_dark else error, flicker=flicker, own_dark=own_dark,
-        correlation=np.array([(v.correlation_x, v.correlation_y) for v in levels]), saturation=saturation, saturated_by=how,
+        correlation=np.array([v.correlation for v in levels]), dark_correlation=darks.correlation, saturation=saturation,
+        saturated_by=how,
         top_dn=float(max(top, white_level_dn) if saturation is None else top))
 
 

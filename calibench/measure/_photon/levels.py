@@ -15,6 +15,7 @@ from ...errors import BadInput
 from ...records import Frame
 from .._frames.glance import glance
 from . import kernels
+from .crosstalk import neighbours
 
 OPEN_BYTES = 60e6  # of sum images at a time; a level that comes again after it was given up is a level of its own
 SAME_LIGHT = 0.01  # frames of one exposure whose means differ by more are different levels
@@ -28,8 +29,9 @@ class Level:
 
     frame_means_dn: (L,). variance_dn2: temporal, common drift taken off (R4: the pair formula), with its 1-sigma error.
     spatial_dn2, column_dn2, row_dn2: variance of the mean image over its pixels, its column means, its row means, as measured.
-    correlation_x, _y: of the difference of the first two frames with its right and lower neighbour. top_dn, at_top: largest
-    value and the share of pixels that have it. pixels: how many; shape: (H, W) of the plane.
+    correlation: (6,) of the difference of the first two frames with its neighbours at `crosstalk.STEPS`; pair_variance_dn2: the
+    temporal variance of these two. top_dn, at_top: largest value and the share of pixels that have it. pixels: how many;
+    shape: (H, W) of the plane.
     """
 
     dark: bool
@@ -41,8 +43,8 @@ class Level:
     spatial_dn2: float
     column_dn2: float
     row_dn2: float
-    correlation_x: float
-    correlation_y: float
+    correlation: np.ndarray
+    pair_variance_dn2: float
     top_dn: int
     at_top: float
     shape: tuple[int, int]
@@ -78,6 +80,7 @@ class _Open:
     squares: int = 0
     tops: dict[int, int] = field(default_factory=dict)
     pair: tuple = ()
+    correlation: np.ndarray | None = None
 
     def add(self, plane: np.ndarray, maximum: int, count: int) -> None:
         """Add a frame's plane, whose maximum so many pixels have."""
@@ -85,6 +88,7 @@ class _Open:
         self.frames.append(plane)
         if len(self.frames) == 2 and not self.pair:
             self.pair = kernels.pair(*self.frames)
+            self.correlation = neighbours(*self.frames, _nearest(self.pair))
         if len(self.frames) > 2 or self.total is not None:
             self._pile()
 
@@ -202,8 +206,17 @@ def _worth(planes: tuple[Level, ...], white_level_dn: float) -> tuple:
     return (dark or off < 0.25, planes[0].count, 0.0 if dark else -off)
 
 
+def _nearest(pair: tuple) -> tuple[float, float]:
+    """Correlations of a pair's difference with its right and its lower neighbour, from its sums."""
+    plain, d2, _, right, below, _, columns, rows = pair
+    height, width = len(rows), len(columns)
+    drift = plain / (height * width)
+    spread = max(d2 / (height * width) - drift**2, 1e-12)
+    return (right / (height * (width - 1)) - drift**2) / spread, (below / ((height - 1) * width) - drift**2) / spread
+
+
 def _figures(level: _Open, key: tuple) -> Level:
-    plain, d2, d4, right, below, both, columns, rows = level.pair
+    plain, d2, d4, _, _, both, columns, rows = level.pair
     height, width = len(rows), len(columns)
     n, count = height * width, 2
     if level.total is None:
@@ -227,6 +240,5 @@ def _figures(level: _Open, key: tuple) -> Level:
         variance_error_dn2=variance * float(np.sqrt((excess / count + 2 / (count - 1)) / n)),
         spatial_dn2=max(float(sum_sq / n - (whole / n) ** 2), 0.0) / count**2,
         column_dn2=float(np.var(columns / (height * count))), row_dn2=float(np.var(rows / (width * count))),
-        correlation_x=(right / (height * (width - 1)) - drift**2) / spread,
-        correlation_y=(below / ((height - 1) * width) - drift**2) / spread,
-        top_dn=int(top), at_top=level.tops[top] / (n * count))
+        correlation=level.correlation, pair_variance_dn2=spread / 2 * n / (n - 1), top_dn=int(top),
+        at_top=level.tops[top] / (n * count))

@@ -2,37 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ...errors import BadInput
 from .._dark.limits import MAX_RATE_E_PER_S, QUANTISATION_DN2
-from .._transfer import Line, line, variance_line
+from .._transfer import BEYOND_CHANCE, Line, line, variance_line
 from .curve import Curve, Darks
+from .figure import Figure
 
 MIN_LEVELS = 3
 FLOOR_DN2, FLOOR_SD_DN = 0.24, 0.49  # below, quantisation hides the noise: an upper limit is given
 LINEAR_FILL = (0.05, 0.95)
-FILL_OF_CORRELATION = 0.3  # levels above this show the correlation of the shot noise
-
-
-class Figure(NamedTuple):
-    """value None: not available, `reason` says why. A reason beside a value is a remark."""
-
-    value: float | None
-    error: float | None = None
-    reason: str = ""
-
-    def times(self, factor: float) -> Figure:
-        return self if self.value is None else Figure(self.value * factor, abs(self.error * factor), self.reason)
-
-    def over(self, other: Figure) -> Figure:
-        """The quotient of two figures whose errors are independent; what is missing in either is missing."""
-        if self.value is None or other.value is None:
-            return Figure(None, None, self.reason if self.value is None else other.reason)
-        value = self.value / other.value
-        return Figure(value, float(np.hypot(self.error, value * other.error) / abs(other.value)), self.reason or other.reason)
+CERTAIN = 0.6827  # what one sigma covers
+DRAWS = 2000
 
 
 def gain(curve: Curve) -> tuple[Figure, Line]:
@@ -68,9 +50,12 @@ def responsivity(curve: Curve) -> Figure:
     if curve.light_unit != "photons":
         return Figure(None, None, "photons per pixel not stated (irradiance, or a descriptor): R and QE are left out")
     x, y = curve.light[curve.fitted], curve.signal_dn[curve.fitted]
-    slope = float(x @ y / (x @ x))
-    unseen = (y - slope * x) / (1 - x**2 / (x @ x))  # residual of each level to the slope without it
-    return Figure(slope, float(np.linalg.norm(x * unseen) / (x @ x)), "its error is without that of the irradiance")
+    slope, known = float(x @ y / (x @ x)), curve.signal_error_dn[curve.fitted]
+    residual = y - slope * x
+    freedom = len(x) - 1
+    if np.sum((residual / known) ** 2) > freedom + BEYOND_CHANCE * np.sqrt(2 * freedom):  # more than noise: bent, or the lamp
+        known = residual / (1 - x**2 / (x @ x))  # of each level to the slope without it
+    return Figure(slope, float(np.linalg.norm(x * known) / (x @ x)), "its error is without that of the irradiance")
 
 
 def dark_noise(darks: Darks) -> Figure:
@@ -88,6 +73,14 @@ def read_noise_dn(sigma_y_dark: Figure) -> Figure:
     return Figure(value, sigma_y_dark.error * sigma_y_dark.value / value, sigma_y_dark.reason)
 
 
+def threshold_dn(sigma_y_dark: Figure, gain: Figure) -> Figure:
+    """mu_e.min times K: the signal that equals its noise. In DN the gain hardly enters; the error holds what it does."""
+    noise, k = sigma_y_dark.value, gain.value
+    root = float(np.hypot(noise, k / 2))
+    return Figure(root + k / 2, float(np.hypot(sigma_y_dark.error * noise / root, gain.error * (k / (4 * root) + 0.5))),
+                  sigma_y_dark.reason)
+
+
 def threshold_e(sigma_y_dark: Figure, gain: Figure) -> Figure:
     """mu_e.min: the charge at which the signal equals its noise."""
     noise = sigma_y_dark.over(gain)
@@ -96,7 +89,8 @@ def threshold_e(sigma_y_dark: Figure, gain: Figure) -> Figure:
 
 
 def saturation(curve: Curve) -> tuple[Figure, Figure]:
-    """Signal in DN and light at saturation. The error is that of the ladder's step."""
+    """Signal in DN and light at saturation: of the last level before it, as the standard has it. The sensor is full somewhere
+    in the step above; the error is the part of that step in which it is with 68 %."""
     i = curve.saturation
     if i is None:
         reason = (f"saturation not reached: the brightest level is {curve.mean_dn[-1]:.0f} DN of {curve.top_dn:.0f}, "
@@ -106,12 +100,15 @@ def saturation(curve: Curve) -> tuple[Figure, Figure]:
 
     def at(values: np.ndarray) -> Figure:
         gap = max(values[step] - values[i], values[i] - values[max(i - 1, 0)])
-        return Figure(float(values[i]), float(gap / np.sqrt(12)), curve.saturated_by)
+        return Figure(float(values[i]), float(CERTAIN * gap), curve.saturated_by)
     return at(curve.signal_dn), at(curve.light)
 
 
 def linearity_error(curve: Curve) -> tuple[Figure, np.ndarray, np.ndarray]:
     """LE in %: mean absolute relative deviation from the line of least relative squares, over 5 to 95 % of saturation.
+
+    Noise alone makes this mean larger than zero. The error is what covers the noise-free figure in 68 % of draws of the levels'
+    noise about deviations that are drawn in towards the line as far as their scatter is noise.
 
     Returns:
         LE, the levels used (K,) bool, and their deviations in %.
@@ -124,13 +121,20 @@ def linearity_error(curve: Curve) -> tuple[Figure, np.ndarray, np.ndarray]:
         return Figure(None, None, "fewer than 3 levels between 5 and 95 % of saturation"), none, np.zeros(0)
     x, y = curve.light[used], curve.signal_dn[used]
     design = np.stack([np.ones_like(x), x], -1) / y[:, None]
-    fit = np.linalg.lstsq(design, np.ones(len(x)), rcond=None)[0]
-    line_dn = fit[0] + fit[1] * x
+    solver = np.linalg.pinv(design) / y
+    line_dn = design @ (solver @ y) * y
     deviation = 100 * (y - line_dn) / line_dn
-    chance = 100 * np.mean(curve.signal_error_dn[used] / y)
-    error = np.hypot(np.std(np.abs(deviation), ddof=1) / np.sqrt(len(x)), chance)
-    remark = "" if curve.saturation is not None else "saturation not reached: over the levels there are"
-    return Figure(float(np.mean(np.abs(deviation))), float(error), remark), used, deviation
+    found = float(np.mean(np.abs(deviation)))
+    by_level = 100 * (np.eye(len(x)) - (y / line_dn)[:, None] * (design * y[:, None] @ solver)) / line_dn[:, None]
+    noise = by_level * curve.signal_error_dn[used] @ np.random.default_rng(0).standard_normal((len(x), DRAWS))
+    chance = float(np.mean(noise**2))
+    bent = deviation * np.sqrt(max(1 - chance / np.mean(deviation**2), 0.0))
+    drawn = np.mean(np.abs(bent[:, None] + noise), axis=0)
+    error = np.quantile(np.abs(drawn - np.mean(np.abs(bent))), CERTAIN)
+    remark = f"noise alone makes {np.mean(np.abs(noise)):.2g} %"
+    if curve.saturation is None:
+        remark += "; saturation not reached: over the levels there are"
+    return Figure(found, float(error), remark), used, deviation
 
 
 def dark_current(darks: Darks, gain: Figure) -> tuple[Figure, Figure, Figure]:
@@ -156,12 +160,3 @@ def dark_current(darks: Darks, gain: Figure) -> tuple[Figure, Figure, Figure]:
     squared = Figure(gain.value**2, 2 * gain.value * gain.error)
     return (Figure(mean.offset, mean.offset_error, ""), current,
             Figure(variance.slope, variance.slope_error, remark).over(squared))
-
-
-def correlation(curve: Curve, pixels: int) -> tuple[Figure, Figure]:
-    """Correlation of the temporal noise with the right and the lower neighbour, mean over the levels from 30 to 70 %."""
-    used = curve.below(0.7, FILL_OF_CORRELATION)
-    if not used.any():
-        used = curve.fitted
-    error = 1 / np.sqrt(pixels * used.sum())
-    return tuple(Figure(float(np.mean(curve.correlation[used, axis])), float(error)) for axis in (0, 1))

@@ -10,12 +10,12 @@ import numpy as np
 from ...records import Quantity
 from .. import _nonuniformity as spatial
 from . import parameters, patterns
+from .crosstalk import Crosstalk, crosstalk, lag
 from .curve import Curve, Darks, curve_of
+from .figure import Figure
 from .levels import Level
-from .parameters import Figure
 
 R4 = "EMVA 1288 R4 Linear, "
-DECIBEL = 20 / np.log(10)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,8 @@ class Plane:
     evidence: dict[str, np.ndarray]
     curve: Curve
     gain: Figure
-    correlation: tuple[Figure, Figure]
+    crosstalk: Crosstalk
+    lag: Figure
 
 
 def analyse(levels: Sequence[Level], darks: Darks, dark: Image | None, bright: Image | None, white_level_dn: float) -> Plane:
@@ -59,43 +60,52 @@ def analyse(levels: Sequence[Level], darks: Darks, dark: Image | None, bright: I
     read_dn = parameters.read_noise_dn(noise_dn)
     k = gain._replace(reason="")
     eta = r.over(k)._replace(reason=r.reason)
-    floor_e = parameters.threshold_e(noise_dn, k)
+    floor_dn = parameters.threshold_dn(noise_dn, k)
+    floor_photons = floor_dn.over(r)
     full_dn, full_light = parameters.saturation(curve)
-    full_e = full_dn.over(k) if r.value is None else full_light.over(_power(eta, -1.0))
-    reach = full_e.over(floor_e)
-    snr = _power(full_e, 0.5)
+    full_e = full_dn.over(k) if r.value is None else full_light.over(eta.power(-1.0))
+    reach = full_dn.over(floor_dn) if r.value is None else full_light.over(floor_photons)
+    snr = full_e.power(0.5)
+    shared = crosstalk(curve, levels[0].pixels, k)
+    late = lag(bright and bright.level)
     error_percent, linear, deviation = parameters.linearity_error(curve)
     offset, current, current_variance = parameters.dark_current(darks, k)
 
     how = f"slope over {curve.fitted.sum()} levels, free offset, {'weighted' if line.weighted else 'every level alike'}"
     out.add("gain_dn_per_e", "K", "DN/e-", f"6.6: {how}", gain)
-    out.add("gain_e_per_dn", "1/K", "e-/DN", "6.6", _power(gain, -1.0))
+    out.add("gain_e_per_dn", "1/K", "e-/DN", "6.6", gain.power(-1.0))
     out.add("responsivity_dn_per_photon", "R", "DN/photon", "6.6: slope through zero, up to 70 % of saturation", r)
     out.add("quantum_efficiency_percent", "eta", "%", "6.6: R/K", eta.times(100))
     out.add("dark_noise_dn", "sigma_y.dark", "DN", "6.6: shortest exposure, quantisation included", noise_dn)
     out.add("read_noise_dn", "sigma_d K", "DN", "6.6: quantisation variance 1/12 DN^2 subtracted", read_dn)
     out.add("read_noise_e", "sigma_d", "e-", "6.6: shortest exposure, quantisation variance subtracted", read_dn.over(k))
-    out.add("absolute_threshold_e", "mu_e.min", "e-", "6.7", floor_e)
-    out.add("absolute_threshold_photons", "mu_p.min", "photons/pixel", "6.7", floor_e.over(eta))
+    out.add("absolute_threshold_e", "mu_e.min", "e-", "6.7", parameters.threshold_e(noise_dn, k))
+    out.add("absolute_threshold_photons", "mu_p.min", "photons/pixel", "6.7", floor_photons)
     out.add("saturation_dn", "mu_y.sat - mu_y.dark", "DN", "6.6", full_dn)
     out.add("saturation_photons", "mu_p.sat", "photons/pixel", "6.6",
             full_light if curve.light_unit == "photons" else Figure(None, None, r.reason))
     out.add("saturation_e", "mu_e.sat", "e-", "6.7", full_e)
     out.add("snr_max", "SNR_max", "1", "6.7", snr)
-    out.add("snr_max_db", "SNR_max", "dB", "6.7", _decibel(snr))
-    out.add("snr_max_inverse_percent", "1/SNR_max", "%", "6.7", _power(snr, -1.0).times(100))
+    out.add("snr_max_db", "SNR_max", "dB", "6.7", snr.decibel())
+    out.add("snr_max_inverse_percent", "1/SNR_max", "%", "6.7", snr.power(-1.0).times(100))
     out.add("dynamic_range", "DR", "1", "6.7: mu_p.sat / mu_p.min", reach)
-    out.add("dynamic_range_db", "DR", "dB", "6.7: mu_p.sat / mu_p.min", _decibel(reach))
+    out.add("dynamic_range_db", "DR", "dB", "6.7: mu_p.sat / mu_p.min", reach.decibel())
     out.add("linearity_error_percent", "LE", "%", "6.8: mean absolute deviation, 5 to 95 % of saturation", error_percent)
     out.add("offset_dn", "mu_y.dark", "DN", "7: dark level at zero exposure", offset)
     out.add("dark_rate_dn_per_s", "mu_I K", "DN/s", "7: from the mean dark level", _product(current, k))
     out.add("dark_current_e_per_s", "mu_I.mean", "e-/s", "7.1: from the mean dark level", current)
     out.add("dark_current_from_variance_e_per_s", "mu_I.var", "e-/s", "7.1: from the temporal variance", current_variance)
     dsnu, prnu, patterns_shown = _patterns(out, dark, bright, k)
-    neighbours = parameters.correlation(curve, levels[0].pixels)
-    for axis, found, what in zip("xy", neighbours, ("right", "lower"), strict=True):
-        out.add(f"noise_correlation_{axis}", f"rho_{axis}", "1", f"difference frames: with the {what} neighbour; not in the "
-                "standard", found)
+    ours = "not in the standard"
+    for axis, correlation, coupling, what in zip("xy", shared.correlation, shared.coupling_percent, ("right", "lower"),
+                                                 strict=True):
+        out.add(f"noise_correlation_{axis}", f"rho_{axis}", "1", f"photon noise, with the {what} neighbour; {ours}",
+                correlation)
+        out.add(f"crosstalk_{axis}_percent", f"alpha_{axis}", "%", "charge that shows in each neighbour along "
+                f"{axis}, from the photon noise; {ours}", coupling)
+    out.add("gain_crosstalk_corrected_dn_per_e", "K.c", "DN/e-", f"K times the photon noise's summed autocorrelation; {ours}",
+            shared.gain)
+    out.add("frame_correlation", "rho_t", "1", f"noise of consecutive frames: 1 - variance of a pair / a stack; {ours}", late)
 
     charge = np.maximum(curve.signal_dn, 0) / k.value
     other = noise_dn.value**2 / k.value**2 + dsnu**2 + charge + (prnu / 100 * charge) ** 2
@@ -106,7 +116,7 @@ def analyse(levels: Sequence[Level], darks: Darks, dark: Image | None, bright: I
         "snr": curve.signal_dn / np.sqrt(curve.noise_dn2.clip(1e-9)),
         "snr_total": charge / np.sqrt(other), "linear": linear.astype(np.uint8), "linearity_deviation_percent": deviation,
         "flicker": curve.flicker, "correlation": curve.correlation, **_dark_curve(darks), **patterns_shown}
-    return Plane(quantities=tuple(out.rows), evidence=evidence, curve=curve, gain=gain, correlation=neighbours)
+    return Plane(quantities=tuple(out.rows), evidence=evidence, curve=curve, gain=gain, crosstalk=shared, lag=late)
 
 
 class _Sheet:
@@ -174,21 +184,8 @@ def _dark_curve(darks: Darks) -> dict[str, np.ndarray]:
 
 
 def _root(part: spatial.Spatial, unit: str) -> Figure:
-    note = "" if part.signed_variance >= 0 else f"negative variance estimate {part.signed_variance:.3g} {unit}, given as 0"
+    note = "" if part.signed_variance >= 0 else spatial.NEGATIVE.format(part.signed_variance, unit)
     return Figure(part.sd, part.uncertainty, note)
-
-
-def _power(figure: Figure, exponent: float) -> Figure:
-    if figure.value is None:
-        return figure
-    value = figure.value**exponent
-    return Figure(value, abs(exponent) * value * figure.error / figure.value, figure.reason)
-
-
-def _decibel(figure: Figure) -> Figure:
-    if figure.value is None:
-        return figure
-    return Figure(float(DECIBEL * np.log(figure.value)), float(DECIBEL * figure.error / figure.value), figure.reason)
 
 
 def _product(figure: Figure, factor: Figure) -> Figure:
