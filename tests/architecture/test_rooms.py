@@ -31,6 +31,7 @@ ROOMS = (
     ("report",),
     ("session",),
     ("cli", "web"),
+    ("__main__",),
 )
 LINE_OF = {room: line for line, rooms in enumerate(ROOMS) for room in rooms}
 
