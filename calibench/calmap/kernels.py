@@ -1,4 +1,4 @@
-"""Compiled: the map applied to windows of a raw frame."""
+"""Compiled: the map applied to windows of a raw frame, and the noise that it predicts there."""
 
 from __future__ import annotations
 
@@ -35,3 +35,27 @@ def correct_windows(data, centre_xy, radius, offset, dark, response, defects, me
                     charge = linear[k] + slope * (charge - measured[k])
                 signal[n, j, i] = (charge - dark[y * dy, x * dy]) / response[y * ry, x * ry]
                 flags[n, j, i] = defects[y * fy, x * fy] | (saturated if data[y, x] >= saturation else 0)
+
+
+@compiled
+def sky_variance(corner_xy, background, read_variance, dark, response, measured, linear, gain, out):
+    """Fills out (N, n, n) float32: variance of corrected pixels, DN^2, of windows at corner_xy (N, 2) under a sky of background
+    (N,): (slope^2 read_variance + gain (background response + dark)) / response^2; 1 beyond the edge. Arrays as in
+    `correct_windows`."""
+    h, w = read_variance.shape
+    dy, ry = len(dark) > 1, len(response) > 1
+    for n in range(len(corner_xy)):
+        for j in range(out.shape[1]):
+            for i in range(out.shape[2]):
+                x, y = corner_xy[n, 0] + i, corner_xy[n, 1] + j
+                out[n, j, i] = 1
+                if x < 0 or y < 0 or x >= w or y >= h:
+                    continue
+                responds = response[y * ry, x * ry]
+                charge, slope = background[n] * responds + dark[y * dy, x * dy], 1.0
+                if len(measured):
+                    k = 0
+                    while k < len(measured) - 2 and charge > linear[k + 1]:
+                        k += 1
+                    slope = (linear[k + 1] - linear[k]) / (measured[k + 1] - measured[k])
+                out[n, j, i] = (slope * slope * read_variance[y, x] + gain * max(charge, 0.0)) / (responds * responds)

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 
 from ..calmap.conditions import outside_conditions
+from ..calmap.correct import correction_warnings
+from ..calmap.windows import like
 from ..io.metadata import utc
 from ..records import CalibrationMap, Frame
 from ..stars.solve import Solution, pointing_of
-from ..stars.tracking.layers import Layers
 from ..stars.tracking.tracker import Tracker
 from .sky import Sky, SolvedFrame
 
@@ -22,7 +23,7 @@ class Track:
 
     sky: Sky
     _tracker: Tracker | None = None
-    _like: tuple = ()
+    _kind: tuple = ()
     _last_s: float = 0.0
     _count: int = 0
 
@@ -33,39 +34,39 @@ class Track:
         Raises:
             BadInput: the frame has another size than the map.
         """
-        layers = calmap or CalibrationMap(image_size_px=frame.image_size_px)
+        layers = self.sky.map_for(frame, calmap)
         self._count += 1
         dated = frame.date_obs is not None
         time_s = utc(frame.date_obs).timestamp() if dated else float(self._count)
-        like = (frame.image_size_px, frame.data.dtype.str, frame.exposure_s, frame.white_level_dn, dated)
-        if self._tracker is not None and like == self._like and 0 < time_s - self._last_s <= LONGEST_GAP_S:
+        kind = (*like(frame), dated)
+        if self._tracker is not None and kind == self._kind and 0 < time_s - self._last_s <= LONGEST_GAP_S:
             tracked = self._follow(frame, layers, time_s, read_s)
             if tracked.solution.status == "solved":
                 self._last_s = time_s
                 return tracked
         solved = self.sky.solve(frame, calmap, fov_rad=fov_rad, settings=settings, read_s=read_s)
         if solved.solution.status == "solved":
-            self._begin(frame, layers, solved, time_s, like)
+            self._begin(frame, layers, solved, time_s, kind, settings or {})
         return solved
 
-    def _begin(self, frame: Frame, layers: CalibrationMap, solved: SolvedFrame, time_s: float, like: tuple) -> None:
+    def _begin(self, frame: Frame, layers: CalibrationMap, solved: SolvedFrame, time_s: float, kind: tuple,
+               settings: dict) -> None:
         found = solved.solution.identification
         calibrated = "intrinsics" in layers.measured
-        same = self._tracker is not None and like == self._like and 0 < time_s - self._last_s <= LONGEST_GAP_S
+        same = self._tracker is not None and kind == self._kind and 0 < time_s - self._last_s <= LONGEST_GAP_S
         if not same:
             finder = self.sky.finder_of(frame, solved.observer)
-            self._tracker = Tracker(sky=finder.sky, layers=Layers.of(layers, frame), lens=found.intrinsics,
-                                    calibrated=calibrated)
+            chosen = {name: settings[name] for name in ("centroider",) if name in settings}
+            self._tracker = Tracker(sky=finder.sky, calmap=layers, lens=found.intrinsics, calibrated=calibrated, **chosen)
         self._tracker.start(solved.solution.attitude.q_cam_icrs, time_s)
-        self._like, self._last_s = like, time_s
+        self._kind, self._last_s = kind, time_s
 
     def _follow(self, frame: Frame, layers: CalibrationMap, time_s: float, read_s: float) -> SolvedFrame:
-        begin = perf_counter()
-        observer = self.sky.observer_of(frame)
-        start = perf_counter()
+        observer, start = self.sky.observer_of(frame), perf_counter()
         spots, found, attitude = self._tracker.follow(frame, time_s, observer)
-        timings = {"read": read_s, "correct": start - begin, "detect": 0.0, "identify": 0.0, "attitude": perf_counter() - start}
+        timings = {"read": read_s, "correct": 0.0, "detect": 0.0, "identify": 0.0, "attitude": perf_counter() - start}
         pointing = pointing_of(found, attitude, observer) if attitude.status == "solved" else {}
         solution = Solution(file=frame.file, spots=spots, identification=replace(found, file=frame.file), attitude=attitude,
                             timings_s=timings, calibrated=self._tracker.calibrated, **pointing)
-        return SolvedFrame(frame=frame, observer=observer, solution=solution, outside=outside_conditions(frame, layers))
+        return SolvedFrame(frame=frame, observer=observer, solution=solution, outside=outside_conditions(frame, layers),
+                           warnings=correction_warnings(frame, layers))

@@ -26,14 +26,13 @@ def moments_of(scene: Scene, candidates: Candidates) -> np.ndarray:
 
 def shape_from_frame(scene: Scene, candidates: Candidates) -> np.ndarray:
     """Median moments (3,) of free fits to the brightest usable candidates; one pixel wide if there are none."""
-    patches = scene.patches(np.ascontiguousarray(candidates.peak_xy, np.int64), 2)
-    lost = np.isnan(patches.signal_dn).any((1, 2))
+    patches = scene.patches(np.ascontiguousarray(candidates.peak_xy, np.int64), SHAPE_RADIUS_PX)
+    lost = np.isnan(patches.signal_dn[:, 2:-2, 2:-2]).any((1, 2))
     rows = np.flatnonzero(~lost & (candidates.elongation < 2) & ~candidates.blend)
     rows = rows[np.argsort(-candidates.flux_dn[rows])][:SHAPE_SPOTS]
     if len(rows) == 0:
         return ROUND
-    peak = np.ascontiguousarray(candidates.peak_xy[rows], np.int64)
-    fit = fit_patches(scene.patches(peak, SHAPE_RADIUS_PX), peak.astype(float), np.tile(ROUND, (len(rows), 1)),
+    fit = fit_patches(patches.take(rows), candidates.peak_xy[rows].astype(float), np.tile(ROUND, (len(rows), 1)),
                       gain_dn_per_e=scene.gain_dn_per_e, free_shape=True, model_error=GUESSED_SHAPE_ERROR)
     good = fit.moments_px2[fit.converged & (fit.moments_px2[:, :2].min(1) < WIDEST_PX2)]
     return np.median(good, axis=0) if len(good) else ROUND

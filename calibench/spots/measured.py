@@ -46,7 +46,11 @@ def measured(scene: Scene, candidates: Candidates, restless: np.ndarray, near: N
     flags = flag(candidates, found, near, image_size_px=image_size_px, gain_dn_per_e=scene.gain_dn_per_e,
                  moments_px2=moments_at(scene.psf, candidates.xy_px) if scene.psf_known else None)
     if not found.ok.all():
-        found = _rough_where_failed(candidates, found)
+        bad = ~found.ok
+        n = int(bad.sum())
+        found = found.with_rows(bad, Centroids(
+            xy_px=candidates.xy_px[bad], covariance_px2=np.tile(ROUGH_COVARIANCE_PX2, (n, 1, 1)),
+            flux_dn=candidates.flux_dn[bad], background_dn=np.zeros(n), ok=np.zeros(n, bool)))
     xy, flux = found.xy_px, found.flux_dn
     w, h = image_size_px
     inside = (xy > -0.5).all(1) & (xy < (w - 0.5, h - 0.5)).all(1) & (flux > 0)
@@ -56,11 +60,3 @@ def measured(scene: Scene, candidates: Candidates, restless: np.ndarray, near: N
     return Spots(xy_px=xy[order], covariance_px2=found.covariance_px2[order], flux_e=flux[order] / gain,
                  background_dn=(near.background_dn + found.background_dn)[order], peak_dn=candidates.peak_dn[order],
                  pixels=candidates.pixels[order], flags=flags[order])
-
-
-def _rough_where_failed(candidates: Candidates, found: Centroids) -> Centroids:
-    ok = found.ok
-    return Centroids(xy_px=np.where(ok[:, None], found.xy_px, candidates.xy_px),
-                     covariance_px2=np.where(ok[:, None, None], found.covariance_px2, ROUGH_COVARIANCE_PX2),
-                     flux_dn=np.where(ok, found.flux_dn, candidates.flux_dn),
-                     background_dn=np.where(ok, found.background_dn, 0.0), ok=ok)

@@ -23,6 +23,10 @@ class Patches:
     floor_variance_dn2: np.ndarray
     corner_xy: np.ndarray
 
+    def take(self, rows: np.ndarray) -> Patches:
+        """The windows of these rows."""
+        return Patches(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
+
 
 class Scene(Protocol):
     """What a centroider asks for.
@@ -36,7 +40,7 @@ class Scene(Protocol):
     shape_px2: np.ndarray | None
 
     def patches(self, centre_xy: np.ndarray, radius: int) -> Patches:
-        """Windows of 2 radius + 1 pixels about integer centres (N, 2)."""
+        """Windows of 2 radius + 1 pixels about integer centres (N, 2), one for each candidate, in their order."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,3 +73,10 @@ class Centroids:
     flux_dn: np.ndarray
     background_dn: np.ndarray
     ok: np.ndarray
+
+    def with_rows(self, rows: np.ndarray, others: Centroids) -> Centroids:
+        """These, those of rows (N,) bool replaced by others."""
+        out = {name: getattr(self, name).copy() for name in self.__dataclass_fields__}
+        for name, values in out.items():
+            values[rows] = getattr(others, name)
+        return Centroids(**out)

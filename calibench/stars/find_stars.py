@@ -4,10 +4,10 @@
 2. The windows around the candidates are corrected, equal to the corrected full frame.
 3. Centroids with covariance by the named centroider; flags.
 
-The sky's level is carried from frame to frame. It holds while map, exposure, temperature, gain setting, white level, size and
-type are the same and the sky is: each frame is sampled (every DRIFT_ROWS-th row) and compared with it, in cells. While no cell
-has moved by more than MOST_DRIFT_SIGMA and the noise by no more than MOST_NOISE_CHANGE, the drift is taken into account; beyond
-that the level is made anew from the frame at hand.
+The sky's level is carried from frame to frame. It holds while map, exposure, gain setting, white level, size and type are the
+same, the temperature within SAME_TEMPERATURE_C, and the sky is: each frame is sampled (every DRIFT_ROWS-th row) and compared
+with it, in cells. While no cell has moved by more than MOST_DRIFT_SIGMA and the noise by no more than MOST_NOISE_CHANGE, the
+drift is taken into account; beyond that the level is made anew from the frame at hand.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..calmap.windows import SeriesLayers
 from ..records import CalibrationMap, Frame, Spots
 from ..spots.false_alarms import FALSE_ALARMS
 from ..spots.measured import brightest, measured
@@ -29,14 +30,14 @@ class FindState:
     """What is computed once for a series of frames of one camera. false_alarms: spots a frame that noise may give; k_sigma: the
     threshold of detection in its place.
 
-    made: how often the sky's level was made. `level` is None before the first frame; key: what it was made for."""
+    made: how often the sky's level was made. `layers` and `level` are None before the first frame."""
 
     false_alarms: float = FALSE_ALARMS
     k_sigma: float | None = None
     centroider: str = "psf_map"
     made: int = 0
+    layers: SeriesLayers | None = None
     level: SkyLevel | None = None
-    key: tuple = ()
 
 
 def find_stars(frame: Frame, calmap: CalibrationMap, state: FindState) -> Spots:
@@ -51,23 +52,18 @@ def find_stars(frame: Frame, calmap: CalibrationMap, state: FindState) -> Spots:
                     image_size_px=frame.image_size_px)
 
 
-def like(frame: Frame) -> tuple:
-    """What frames must share for one map's layers to serve them all."""
-    return (frame.data.shape, frame.data.dtype, frame.exposure_s, frame.temperature_c, frame.gain_setting, frame.white_level_dn,
-            frame.range_assumed)
-
-
 def _scene(frame: Frame, calmap: CalibrationMap, state: FindState) -> RawScene:
     """The frame on the carried level, or on a new one where the frame asks for it."""
-    data = _scanned(frame.data)
-    level, key = state.level, like(frame)
-    if level is not None and level.calmap is calmap and state.key == key:
+    if state.layers is None or state.layers.calmap is not calmap:
+        state.layers, state.level = SeriesLayers(calmap), None
+    data, layers, level = _scanned(frame.data), state.layers.of(frame), state.level
+    if level is not None and level.serves(frame):
         drifted, louder = level.sampled(data)
         if max(drifted.max(), -drifted.min()) <= MOST_DRIFT_SIGMA and abs(louder - 1) <= MOST_NOISE_CHANGE:
-            return level.scene(data, drifted, louder)
-    level = state.level = SkyLevel.of(frame, data, calmap, state.k_sigma, state.false_alarms)
-    state.key, state.made = key, state.made + 1
-    return level.scene(data, level.thresholds.no_drift, 1.0)
+            return RawScene(data=data, layers=layers, level=level, drifted=drifted, louder=louder)
+    level = state.level = SkyLevel.of(frame, data, layers, calmap, state.k_sigma, state.false_alarms)
+    state.made += 1
+    return level.scene(data, layers)
 
 
 def _scanned(data: np.ndarray) -> np.ndarray:

@@ -7,13 +7,14 @@ has corrected, with this background taken off.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..calmap.correct import correct
+from ..calmap.dark_signal import SAME_TEMPERATURE_C
 from ..calmap.linearise import linearise
-from ..calmap.windows import WindowLayers
+from ..calmap.windows import WindowLayers, like
 from ..records import UNUSABLE, CalibrationMap, Frame, PsfMap
 from ..spots.background import background_and_noise, busy_area
 from ..spots.candidates import Candidates
@@ -35,10 +36,12 @@ LEAST_NOISE = 0.05  # of the noise that the map predicts: what the frame itself 
 class SkyLevel:
     """For frames like the one it was made from. thresholds: in raw DN; k_sigma: of detection on them. background_dn, noise_dn
     (H, W) float32: of the corrected frame, noise of one pixel. busy: (H, W) bool, restless areas, None where there are
-    none. shape_px2 (3,): moments that the frame's own stars show, None where the map has a PSF."""
+    none. shape_px2 (3,): moments that the frame's own stars show, None where the map has a PSF. kind, temperature_c: of
+    the frame (calmap/windows.like)."""
 
     calmap: CalibrationMap
-    layers: WindowLayers
+    kind: tuple
+    temperature_c: float | None
     thresholds: ThresholdMap
     k_sigma: float
     background_dn: np.ndarray
@@ -48,13 +51,10 @@ class SkyLevel:
     shape_px2: np.ndarray | None = None
 
     @classmethod
-    def of(cls, frame: Frame, data: np.ndarray, calmap: CalibrationMap, k_sigma: float | None, false_alarms: float) -> SkyLevel:
-        """From a frame corrected as a whole. data: the frame's, of a type that is scanned.
-
-        Raises:
-            BadInput: the frame has another size than the map.
-        """
-        layers, corrected = WindowLayers.of(frame, calmap), correct(frame, calmap)
+    def of(cls, frame: Frame, data: np.ndarray, layers: WindowLayers, calmap: CalibrationMap, k_sigma: float | None,
+           false_alarms: float) -> SkyLevel:
+        """From a frame corrected as a whole. data: the frame's, of a type that is scanned; layers: the map's for it."""
+        corrected = correct(frame, calmap)
         blind = ((corrected.defects & UNUSABLE) != 0) | ~np.isfinite(corrected.signal_dn)
         broken = ((layers.defects & UNUSABLE) != 0) | ~np.isfinite(corrected.signal_dn)
         background, noise = background_and_noise(corrected.signal_dn, blind)
@@ -77,12 +77,19 @@ class SkyLevel:
         expected = np.where(broken, np.float32(np.nan), data - np.where(broken, np.float32(0), signal) * raw)
         thresholds = threshold_map(expected, noise * raw, data.dtype)
         k = Sensitivity(k_sigma=k_sigma, false_alarms=false_alarms, law=law).k_on(thresholds)
-        level = cls(calmap=calmap, layers=layers, thresholds=thresholds, k_sigma=k, background_dn=background, noise_dn=noise,
-                    busy=restless if restless.any() else None, room=Room(data.shape))
+        level = cls(calmap=calmap, kind=like(frame), temperature_c=frame.temperature_c, thresholds=thresholds, k_sigma=k,
+                    background_dn=background, noise_dn=noise, busy=restless if restless.any() else None, room=Room(data.shape))
         if "psf" in calmap.measured:
             return level
-        scene = level.scene(data, thresholds.no_drift, 1.0)
-        return cls(**{**vars(level), "shape_px2": shape_from_frame(scene, scene.candidates())})
+        scene = level.scene(data, layers)
+        return replace(level, shape_px2=shape_from_frame(scene, scene.candidates()))
+
+    def serves(self, frame: Frame) -> bool:
+        """Whether the frame was taken like the one that this was made from."""
+        same = frame.temperature_c == self.temperature_c
+        if not same and None not in (frame.temperature_c, self.temperature_c):
+            same = abs(frame.temperature_c - self.temperature_c) <= SAME_TEMPERATURE_C
+        return same and like(frame) == self.kind
 
     def sampled(self, data: np.ndarray) -> tuple[np.ndarray, float]:
         """How a frame lies about this level: (cells, how far above it, in sigma; its noise over this one's)."""
@@ -90,16 +97,19 @@ class SkyLevel:
         square = drift(data, self.thresholds.expected_dn, self.thresholds.noise_dn, CELL_PX, DRIFT_ROWS, smooth)
         return smooth, square**0.5
 
-    def scene(self, data: np.ndarray, drifted: np.ndarray, louder: float) -> RawScene:
-        """A frame of the series; drifted, louder: as `sampled` gives them."""
-        return RawScene(data=data, level=self, drifted=drifted, louder=louder)
+    def scene(self, data: np.ndarray, layers: WindowLayers) -> RawScene:
+        """The frame that this was made from."""
+        return RawScene(data=data, layers=layers, level=self, drifted=self.thresholds.no_drift, louder=1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RawScene:
-    """A raw frame as the Scene of its candidates: its windows are corrected, equal to the corrected full frame."""
+    """A raw frame as the Scene of its candidates: its windows are corrected, equal to the corrected full frame.
+
+    drifted, louder: as `SkyLevel.sampled` gives them."""
 
     data: np.ndarray
+    layers: WindowLayers
     level: SkyLevel
     drifted: np.ndarray
     louder: float
@@ -138,7 +148,7 @@ class RawScene:
                     background_dn=self.level.background_dn[y, x])
 
     def _patches(self, centre_xy: np.ndarray, radius: int) -> tuple[Patches, np.ndarray]:
-        cut_out, level = self.level.layers.windows(self.data, centre_xy, radius), self.level
+        cut_out, level = self.layers.windows(self.data, centre_xy, radius), self.level
         floor = np.empty_like(cut_out.signal_dn)
         above_sky(cut_out.signal_dn, cut_out.defects, cut_out.corner_xy, level.background_dn, level.noise_dn, self.drifted,
                   CELL_PX, float(self.louder), floor)

@@ -96,7 +96,7 @@ def test_tracking_speed():
     frames = [render.view(stars, one, rng) for one in attitudes]
     times = []
     for _ in range(10):
-        track = render.tracker(stars, frames[0])
+        track = render.tracker(stars)
         for k in (0, 1):
             track.start(render.quaternion(attitudes[k]), k * dt)
         track.follow(frames[2], 2 * dt, Observer())

@@ -47,7 +47,7 @@ def test_frames_a_second():
             solving.append(time.process_time() - begin)
             assert solution.status == "solved"
             stages.append([solution.timings_s[name] for name in ("detect", "identify", "attitude")])
-        track = render.tracker(sky, frames[0])
+        track = render.tracker(sky)
         for k in (0, 1):
             track.start(render.quaternion(attitudes[k]), k * STEP_S)
         for k in range(2, FRAMES):
@@ -71,7 +71,7 @@ def test_a_track_is_never_confidently_wrong():
         k, jump = int(rng.integers(FRAMES)), int(rng.integers(4))
         turn = [np.zeros(3), rng.normal(0, 0.003, 3), rng.normal(0, 1.0, 3), np.zeros(3)][jump]
         believed = Rotation.from_rotvec(turn).as_matrix() @ attitudes[k]
-        track = render.tracker(sky, frames[0])
+        track = render.tracker(sky)
         track.start(render.quaternion(believed), 0.0)
         frame = hot[int(rng.integers(3))] if jump == 3 else frames[k]
         *_, attitude = track.follow(frame, 1.0, Observer())

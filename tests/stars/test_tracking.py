@@ -1,18 +1,20 @@
 """Tracking on rendered frames: honest errors, trails at their middle, a wrong or lost field never answered."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
+from calibench.calmap.windows import WindowLayers
 from calibench.geometry import projection
 from calibench.io.star_table import load_star_table
-from calibench.records import CalibrationMap, Frame, Intrinsics, Observer, PsfMap
+from calibench.records import DEFECT_FLAGS, SPOT_FLAGS, CalibrationMap, Frame, Intrinsics, Observer, PsfMap
 from calibench.stars.sky_catalogue import SkyCatalogue
 from calibench.stars.tracking import kernels
-from calibench.stars.tracking.layers import Layers
+from calibench.stars.tracking.expected import Expecting
 from calibench.stars.tracking.tracker import Tracker
-from calibench.stars.tracking.windows.kernels import measure_windows
 
 SIZE = (752, 480)
 SHAPE = SIZE[::-1]
@@ -67,8 +69,8 @@ def view(sky, matrix, rng, rate=(0.0, 0.0, 0.0), exposure_s=0.1, lens=LENS):
     return exposed(light, rng, exposure_s)
 
 
-def tracker(sky, frame):
-    return Tracker(sky=sky, layers=Layers.of(MAP, frame), lens=LENS, calibrated=True)
+def tracker(sky):
+    return Tracker(sky=sky, calmap=MAP, lens=LENS, calibrated=True)
 
 
 def quaternion(matrix):
@@ -85,7 +87,7 @@ def test_a_turning_camera_is_followed_honestly(sky, rate_deg_s, exposure_s, fram
     track, squares = None, []
     for k, truth in enumerate(attitudes):
         frame = view(sky, truth, rng, rate, exposure_s)
-        track = track or tracker(sky, frame)
+        track = track or tracker(sky)
         if k < 2:
             track.start(quaternion(truth), k * dt)
             continue
@@ -109,7 +111,7 @@ def test_a_jump_is_lost_and_never_wrong(sky):
     clouds = exposed(np.zeros(SHAPE), rng)
     elsewhere = [view(sky, Rotation.random(random_state=s).as_matrix(), rng) for s in range(60, 64)]
     for frame in (hot, clouds, *elsewhere):
-        track = tracker(sky, first)
+        track = tracker(sky)
         track.start(quaternion(truth), 0.0)
         _, found, attitude = track.follow(frame, 1.0, Observer())
         assert attitude.status == "rejected" and attitude.reason.startswith("track lost")
@@ -125,30 +127,28 @@ def test_a_drifting_focus_is_followed(sky):
     track = None
     for k in range(20):
         frame = view(sky, truth, rng, lens=now)
-        track = track or tracker(sky, frame)
+        track = track or tracker(sky)
         track.start(quaternion(truth), 0.0) if k == 0 else track.follow(frame, float(k), Observer())
     sd = np.sqrt(track.drift.covariance[0, 0])
     assert abs(track.drift.state[0] - 1e-3) < 4 * sd and sd < 2e-4
     assert track.drift.applied_to(LENS).fx_px == pytest.approx(now.fx_px, rel=3e-4)
 
 
-def windows(frame, places, trail=(0.0, 0.0), bad=None):
-    n = len(places)
-    return measure_windows(frame.data, np.full(SHAPE, 64, np.float32), np.ones(SHAPE, np.float32),
-                           np.zeros(SHAPE, bool) if bad is None else bad, 4095.0, np.asarray(places, float),
-                           np.tile([SIGMA_PX**2, SIGMA_PX**2, 0.0], (n, 1)), np.tile(np.asarray(trail, float), (n, 1)), 4,
-                           3 + int(np.abs(trail).max() / 2), GAIN, 1.0)
+def windows(frame, places, trail=(0.0, 0.0), calmap=MAP):
+    """Which of the places show a spot, and the spots."""
+    return Expecting(calmap=calmap).measure(frame.data, WindowLayers.of(frame, calmap), np.asarray(places, float),
+                                            np.tile(np.asarray(trail, float), (len(places), 1)), 4)
 
 
 def test_windows_measure_points_to_their_error_bars():
     rng = np.random.default_rng(57)
     truth = np.stack(np.meshgrid(np.arange(30, 730, 35), np.arange(30, 460, 35)), -1).reshape(-1, 2) + rng.uniform(
         -0.5, 0.5, (260, 2))
-    found = windows(exposed(light_of(truth, 2000.0), rng), truth + rng.uniform(-3, 3, truth.shape))
-    assert np.isfinite(found).all()
-    z2 = (found[:, :2] - truth) ** 2 / found[:, 2:4]
+    seen, spots = windows(exposed(light_of(truth, 2000.0), rng), truth + rng.uniform(-3, 3, truth.shape))
+    assert len(seen) == len(truth)
+    z2 = (spots.xy_px - truth) ** 2 / np.einsum("nii->ni", spots.covariance_px2)
     assert 0.8 < z2.mean() < 1.25
-    assert found[:, 5].mean() == pytest.approx(2000, rel=0.01)
+    assert spots.flux_e.mean() == pytest.approx(2000 / GAIN, rel=0.01)
 
 
 def test_windows_find_the_middle_of_a_trail_and_refuse_defects():
@@ -157,15 +157,16 @@ def test_windows_find_the_middle_of_a_trail_and_refuse_defects():
     trail = np.array([7.0, -4.0])
     light = sum(light_of(truth + trail * s, 4000.0 / 40) for s in (np.arange(40) + 0.5) / 40 - 0.5)
     frame = exposed(light, rng)
-    found = windows(frame, truth + rng.uniform(-2, 2, truth.shape), trail)
-    assert np.isfinite(found).all()
-    z2 = (found[:, :2] - truth) ** 2 / found[:, 2:4]
+    seen, spots = windows(frame, truth + rng.uniform(-2, 2, truth.shape), trail)
+    assert len(seen) == len(truth) and (spots.flags & SPOT_FLAGS["trail"]).all()
+    z2 = (spots.xy_px - truth) ** 2 / np.einsum("nii->ni", spots.covariance_px2)
     assert 0.6 < z2.mean() < 1.5
-    assert np.sqrt(((found[:, :2] - truth) ** 2).mean()) < 0.05
-    bad = np.zeros(SHAPE, bool)
-    bad[round(truth[0, 1]), round(truth[0, 0])] = True
-    assert np.isnan(windows(frame, truth[:1], trail, bad)).all()
-    assert np.isnan(windows(exposed(np.zeros(SHAPE), rng), truth)).all()
+    assert np.sqrt(((spots.xy_px - truth) ** 2).mean()) < 0.05
+    bad = np.zeros(SHAPE, np.uint16)
+    bad[round(truth[0, 1]), round(truth[0, 0])] = DEFECT_FLAGS["hot"]
+    holed = dataclasses.replace(MAP, measured=MAP.measured | {"defects"}, defects=bad)
+    assert len(windows(frame, truth[:1], trail, holed)[0]) == 0
+    assert len(windows(exposed(np.zeros(SHAPE), rng), truth)[0]) == 0
 
 
 def test_compiled_prediction_and_fit_match_their_plain_form(sky):

@@ -1,8 +1,9 @@
 """Tracker: the attitude of a frame from that of the frame before, and the odds that it is right.
 
 1. Predict: the last attitude, turned on by the rate between the last two.
-2. Measure: the brightest stars of the field, each in a window about the place where it must stand; along its trail where the
-   camera turns by more than a fraction of a pixel during the exposure (the middle of a trail is its mid-exposure).
+2. Measure: the brightest stars of the field, each in a window about the place where it must stand, corrected and centred as by
+   `solve`; along its trail where the camera turns by more than a fraction of a pixel during the exposure (the middle of a
+   trail is its mid-exposure).
 3. Fit: rotation by weighted least squares in pixels, outliers out, covariance propagated.
 4. Doubt: M of N spots found lie within their own few sigma of a common rotation. One that is no star would by chance with
    p = circle over window; two spots are given to the fit. The binomial tail is the frame's false-match probability.
@@ -18,17 +19,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import bdtrc
 
+from ...calmap.windows import SeriesLayers
 from ...geometry import kernels as geometry_kernels
 from ...geometry import projection, rotation
-from ...records import SPOT_FLAGS, Attitude, Frame, Identification, Intrinsics, Observer, Spots
+from ...records import Attitude, CalibrationMap, Frame, Identification, Intrinsics, Observer, Spots
 from ..per_lens import lens_terms
 from ..sky_catalogue import SkyCatalogue
 from ..verify import ACCEPT
 from ..view import CALIBRATED_MODEL_SD_PX, GUESSED_MODEL_SD_PX
 from . import kernels
-from .layers import Layers
+from .expected import Expecting
 from .lens_drift import LensDrift
-from .windows import kernels as window_kernels
 
 MOST_STARS = 24
 FEWEST_STARS = 4
@@ -61,15 +62,16 @@ class Field(NamedTuple):
 
 @dataclass
 class Tracker:
-    """Follows one camera through a series. lens: its intrinsics; calibrated: they come from a map.
+    """Follows one camera through a series. calmap: its map; lens: its intrinsics; calibrated: they come from the map.
 
     Times are seconds on any one clock, or frame numbers where no clock is known.
     """
 
     sky: SkyCatalogue
-    layers: Layers
+    calmap: CalibrationMap
     lens: Intrinsics
     calibrated: bool
+    centroider: str = "psf_map"
     drift: LensDrift = field(init=False)
     rate_rad_s: np.ndarray | None = None
     _matrix: np.ndarray | None = None
@@ -80,6 +82,7 @@ class Tracker:
 
     def __post_init__(self) -> None:
         self.drift = LensDrift.of(self.lens)
+        self._layers, self._expecting = SeriesLayers(self.calmap), Expecting(calmap=self.calmap, centroider=self.centroider)
 
     def start(self, q_cam_icrs: np.ndarray, time_s: float) -> None:
         """Begin with a known attitude. The rate follows from two starts in a row, or from the frames tracked; where a track
@@ -90,20 +93,16 @@ class Tracker:
         self._reach_px, self._started = FIRST_REACH_PX, True
 
     def follow(self, frame: Frame, time_s: float, observer: Observer) -> tuple[Spots, Identification, Attitude]:
-        """Spots, identification and attitude of the next frame; status `rejected` where the track is lost."""
+        """Spots, identification and attitude of the next frame; status `rejected` where the track is lost.
+
+        Raises:
+            BadInput: the frame has another size than the map. UsageError: unknown centroider.
+        """
         lens = self.drift.applied_to(self.lens)
         matrix, turning = self._predicted(time_s)
         rows, directions, xy, by_v = self._expected(lens, matrix, turning, observer)
         trail = _trails(by_v, directions, matrix, turning * (frame.exposure_s or 0.0))
-        shape = self.layers.moments_px2(xy)
-        longest = float(np.abs(trail).max(initial=0.0))
-        radius = min(max(math.ceil(2.5 * math.sqrt(shape[:, :2].max(initial=1.0)) + longest / 2), 2), 40)
-        layers = self.layers
-        found = window_kernels.measure_windows(
-            frame.data, layers.level_dn, layers.response, layers.bad, layers.saturation_dn, xy, shape, trail, self._reach_px,
-            radius, layers.gain_dn_per_e, layers.read_variance_dn2)
-        seen = np.flatnonzero(np.isfinite(found[:, 0]))
-        spots = _spots(found[seen], self.layers, trail[seen])
+        seen, spots = self._expecting.measure(frame.data, self._layers.of(frame), xy, trail, self._reach_px)
         if len(seen) < FEWEST_STARS:
             return self._lost(spots, f"{len(seen)} of {len(rows)} stars were seen in their windows")
         return self._fitted(spots, rows[seen], directions[seen], by_v[seen], matrix, lens, time_s)
@@ -210,11 +209,3 @@ def _trails(by_v: np.ndarray, directions: np.ndarray, matrix: np.ndarray, turn_r
     if not turn_rad.any():
         return np.zeros((len(directions), 2))
     return np.einsum("nij,nj->ni", by_v, directions @ (matrix.T @ rotation.skew(turn_rad)))
-
-
-def _spots(found: np.ndarray, layers: Layers, trail: np.ndarray) -> Spots:
-    covariance = found[:, [2, 4, 4, 3]].reshape(-1, 2, 2)
-    flags = np.where(np.hypot(*trail.T) > window_kernels.SHORT_PX, SPOT_FLAGS["trail"], 0)
-    gain = layers.gain_dn_per_e or 1.0
-    return Spots(xy_px=found[:, :2], covariance_px2=covariance, flux_e=found[:, 5] / gain, background_dn=found[:, 7],
-                 peak_dn=found[:, 6], pixels=np.zeros(len(found)), flags=flags)
