@@ -4,37 +4,33 @@
 2. A Gaussian with free second moments is fitted to each; it is integrated over the pixels, so the moments are those of
    the light before the pixel (add 1/12 px^2 for the recorded spot).
 3. The moments become polynomials over the field, spots that disagree left out: the Gaussian member of the map.
-4. Where the spots are enough and centred at all parts of a pixel, the shape itself is fitted (`_epsf`). It goes into the map if
-   it predicts spots that were left out better than the Gaussian describes those it was fitted to; else the warnings say why.
-Figures are field medians.
+4. Where the spots are enough and centred at all parts of a pixel, the shape itself is fitted (`_psf/epsf`). It goes into the
+   map if it predicts spots that were left out better than the Gaussian describes those it was fitted to; else warnings say why.
+5. Figures: medians over the field, and which stars the camera detects with this PSF and the map's noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..calmap.correct import correct
 from ..errors import BadInput
-from ..records import CENTRE_OF_MASS, CalibrationMap, Frame, Measurement, PsfMap, Quantity
-from ..spots.gaussian_fit import fit_gaussians
-from ..spots.psf import FWHM_PER_SIGMA, field_terms, moments_at
+from ..records import CalibrationMap, Frame, Measurement, Quantity
 from ._frames.ledger import Ledger
 from ._gain import known_gain
-from ._psf.epsf import Fitted, Windows, fit_shape
-from ._psf.figures import FIGURES, LEAST_LAMBDA_N_PX, figures, strehl
-from ._psf.spot_shapes import SpotShapes, axes_px, shapes
+from ._psf.chief_rays import chief_ray_shifts, shift_quantity
+from ._psf.encircled import encircled, encircled_radii
+from ._psf.epsf import Fitted
+from ._psf.faintest import ROUGH_PHASES, exposure_of, least_stars, star_quantities
+from ._psf.field import FieldPsf, over_field
+from ._psf.figures import figures_at, places
+from ._psf.quantities import core_quantity, map_quantities, spot_quantities, strehl_quantity
+from ._psf.spot_shapes import SpotShapes, shapes
 
-PIXEL_VARIANCE_PX2 = 1 / 12
-CLIP_SIGMA = 4.0
-SPOTS_PER_TERM = 3
-DEGREES = (4, 3, 2, 1, 0)
-ANNULUS_PX = 0.2
-GROUPS = 8
-PHASES = 4
-CORE_PER_SIGMA = (0.6, 1.5), (1.1, 0.8)  # series' scale over the Gaussian's, by its sigma in px: found on rendered lenses
+DRAWN_OUT = 0.1  # common ellipticity, where it has a direction, that a focused lens and a source at rest do not show
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +39,8 @@ class Settings:
 
     shape_spots, dither: the least number of spots and share of the pixel (4 x 4 parts) in which they are centred, for a shape
     beyond a Gaussian. pinhole_px: diameter of the source's image, taken out of the shape. wavelength_um, f_number: for Strehl.
+    star_exposure_s, sky_e_per_px_s, zero_point_mag: exposure (None: the frames'), sky and the magnitude of one e-/s, for the
+    faintest stars.
     """
 
     k_sigma: float = 5.0
@@ -53,6 +51,9 @@ class Settings:
     pinhole_px: float = 0.0
     wavelength_um: float | None = None
     f_number: float | None = None
+    star_exposure_s: float | None = None
+    sky_e_per_px_s: float = 0.0
+    zero_point_mag: float | None = None
 
 
 def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: CalibrationMap | None = None) -> Measurement:
@@ -67,7 +68,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     """
     settings = settings or Settings()
     ledger = Ledger(settings, "pinhole frames")
-    found, warnings = [], []
+    found, rays, warnings = [], [], []
     for frame in frames:
         if frame.kind in ("dark", "flat"):
             ledger.reject(frame, f"it says that it is a {frame.kind} frame")
@@ -77,33 +78,57 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         applied = calmap or CalibrationMap(image_size_px=frame.image_size_px)
         corrected = correct(frame, applied)
         warnings += corrected.warnings
+        rays.append(frame.chief_rays_px)
         found.append(shapes(corrected, frame.image_size_px, k_sigma=settings.k_sigma, least_snr=settings.least_snr,
                             radius_px=found[0].windows.data_dn.shape[1] // 2 if found else None))
-    size = ledger.first.image_size_px
-    gain = known_gain(calmap, ledger.first)
+    first = ledger.first
+    gain = known_gain(calmap, first)
     _check(found, settings)
-    xy, moments = (np.concatenate([getattr(s, name) for s in found]) for name in ("xy_px", "moments_px2"))
-    psf, residual, used = _map(xy, moments, size)
-    psf, fitted, why_not = _with_shape(psf, [s.windows for s in found], used, gain.dn_per_e, settings)
-    if why_not:
-        warnings.append(f"the PSF map holds a Gaussian only: {why_not}")
-    aside = _set_aside(found) | {"with moments unlike the others": int((~used).sum())}
-    if fitted is not None:
-        aside["of a shape unlike the others (blend, ghost, drifting source)"] = int((~fitted.used).sum())
-    if any(aside.values()):
-        warnings.append(f"spots set aside: {_listed({reason: n for reason, n in aside.items() if n})}")
-    ee_radius, ee = encircled(found)
+    field = over_field(found, first.image_size_px, gain_dn_per_e=gain.dn_per_e, shape_spots=settings.shape_spots,
+                       dither=settings.dither, pinhole_px=settings.pinhole_px)
+    warnings += _of_spots(found, field)
+    radius = found[0].windows.data_dn.shape[1] // 2
+    number = np.repeat(np.arange(len(found)), [len(s.xy_px) for s in found])
+    shift = chief_ray_shifts(*_centres(field, number), rays)
+    curve = encircled(found)
+    exposure = exposure_of(calmap, gain, first, exposure_s=settings.star_exposure_s, sky_e_per_px_s=settings.sky_e_per_px_s)
+    stars = least_stars(field.psf, radius)
+    quantities = (*spot_quantities(field), *encircled_radii(found, curve, (0.5, 0.8)), *map_quantities(field, radius),
+                  strehl_quantity(field.psf, first, settings.wavelength_um, settings.f_number),
+                  shift_quantity(shift, field.psf.centre), core_quantity(field.psf),
+                  *star_quantities(exposure, stars, [least_stars(one, radius, ROUGH_PHASES) for one in field.without_part],
+                                   settings.k_sigma, settings.zero_point_mag))
     flux = np.concatenate([s.flux_dn for s in found])
-    unit = gain.dn_per_e if np.isfinite(gain.dn_per_e) else 1.0
+    known = np.isfinite(gain.dn_per_e)
     return Measurement(
-        name="psf", image_size_px=size, psf=psf,
-        quantities=(*_quantities(moments[used], found, psf), *_shape_quantities(psf, fitted, found, ledger.first, settings)),
-        evidence={"spot_xy_px": xy, "spot_moments_px2": moments, "spot_residual_px2": residual, "spot_used": used,
-                  "spot_frame": np.repeat(np.arange(len(found)), [len(s.xy_px) for s in found]),
-                  "spot_flux_e" if np.isfinite(gain.dn_per_e) else "spot_flux_dn": flux / unit,
-                  "encircled_radius_px": ee_radius, "encircled_fraction": ee} | _shape_evidence(fitted),
-        provenance=ledger.provenance(), warnings=_warnings(ledger, warnings, xy[used], size, calmap),
+        name="psf", image_size_px=first.image_size_px, psf=field.psf, quantities=quantities,
+        evidence={"spot_xy_px": field.xy_px, "spot_moments_px2": field.moments_px2, "spot_residual_px2": field.residual_px2,
+                  "spot_used": field.used, "spot_frame": number,
+                  "spot_flux_e" if known else "spot_flux_dn": flux / (gain.dn_per_e if known else 1.0),
+                  "encircled_radius_px": curve[0], "encircled_fraction": curve[1]}
+        | _shape_evidence(field.fitted) | _field_evidence(field, radius, stars, settings.k_sigma * exposure.noise_e, shift),
+        provenance=ledger.provenance(), warnings=_warnings(ledger, [*warnings, *_drawn_out(quantities)], field, calmap),
         frames_used=len(found), frames_rejected=tuple(ledger.rejected))
+
+
+def _of_spots(found: list[SpotShapes], field: FieldPsf) -> list[str]:
+    """Which spots were set aside, and why the map holds no shape."""
+    out = [f"the PSF map holds a Gaussian only: {field.why_not}"] if field.why_not else []
+    aside = _set_aside(found) | {"with moments unlike the others": int((~field.used).sum())}
+    if field.fitted is not None:
+        aside["of a shape unlike the others (blend, ghost, drifting source)"] = int((~field.fitted.used).sum())
+    if any(aside.values()):
+        out.append(f"spots set aside: {_listed({reason: n for reason, n in aside.items() if n})}")
+    return out
+
+
+def _drawn_out(quantities: tuple[Quantity, ...]) -> list[str]:
+    """A warning where all spots are drawn out alike."""
+    of = {quantity.name: quantity.value for quantity in quantities}
+    if of["ellipticity_angle_deg"] is None or of["ellipticity_common"] < DRAWN_OUT:
+        return []
+    return [f"all spots are drawn out in the same direction ({of['ellipticity_angle_deg']:.0f} degrees from +x towards +y, "
+            f"1 - b/a {of['ellipticity_common']:.2f}): did the source or the camera move in the exposure?"]
 
 
 def _set_aside(found: list[SpotShapes]) -> dict[str, int]:
@@ -127,147 +152,11 @@ def _check(found: list[SpotShapes], settings: Settings) -> None:
                        mend="use more pinholes or frames, in focus, sharp and well apart")
 
 
-def _map(xy: np.ndarray, moments: np.ndarray, size: tuple[int, int]) -> tuple[PsfMap, np.ndarray, np.ndarray]:
-    """PsfMap, residual (N, 3) of every spot and which spots were used."""
-    used = np.ones(len(xy), bool)
-    for _ in range(8):
-        degree = next(d for d in DEGREES if d == 0 or SPOTS_PER_TERM * (d + 1) * (d + 2) // 2 <= used.sum())
-        terms = field_terms(xy, size, degree)
-        coefficients = np.linalg.lstsq(terms[used], moments[used], rcond=None)[0]
-        residual = moments - terms @ coefficients
-        sigma = 1.4826 * np.median(np.abs(residual[used]), axis=0)
-        now = (np.abs(residual) <= CLIP_SIGMA * sigma + 1e-9).all(axis=1)
-        if (now == used).all() or now.sum() < 0.7 * len(xy):
-            break
-        used = now
-    psf = PsfMap(model="gaussian", degree=degree, coefficients=coefficients.T, image_size_px=size,
-                 centre="centre of the Gaussian fitted by least squares, integrated over the pixels",
-                 measured_xy_px=xy[used], residual_rms_px2=float(np.sqrt(np.mean(residual[used] ** 2))))
-    return psf, residual, used
-
-
-def dither_coverage(xy_px: np.ndarray) -> float:
-    """Share of the 4 x 4 parts of a pixel in which some spot (N, 2) is centred."""
-    part = np.floor(PHASES * ((xy_px + 0.5) % 1)).astype(int).clip(0, PHASES - 1)
-    return len(np.unique(part[:, 0] * PHASES + part[:, 1])) / PHASES**2
-
-
-def _with_shape(psf: PsfMap, cut_out: list[Windows], used: np.ndarray, gain: float,
-                settings: Settings) -> tuple[PsfMap, Fitted | None, str]:
-    """The map with its shape, and how it was fitted; or the map as it is, None, and why."""
-    joined = {name: np.concatenate([getattr(w, name) for w in cut_out]) for name in Windows.__dataclass_fields__}
-    spots = Windows(**joined).take(used)
-    coverage = dither_coverage(spots.xy_px)
-    if len(spots.xy_px) < settings.shape_spots:
-        return psf, None, f"{len(spots.xy_px)} spots, a shape needs {settings.shape_spots}"
-    if coverage < settings.dither:
-        return psf, None, (f"the spots are centred in {100 * coverage:.0f} % of the pixel's parts, a shape needs "
-                           f"{100 * settings.dither:.0f} %: move the source by fractions of a pixel")
-    gain = gain if np.isfinite(gain) else 0.0
-    moments = moments_at(psf, spots.xy_px)
-    sigma = float(np.sqrt(np.median(moments[:, :2])))
-    scale = sigma * float(np.interp(sigma, *CORE_PER_SIGMA))
-    fitted = fit_shape(spots, psf.image_size_px, gain_dn_per_e=gain, scale_px=scale, pinhole_px=settings.pinhole_px,
-                       dither_coverage=coverage)
-    if fitted.used.sum() < settings.shape_spots:
-        return psf, None, f"only {fitted.used.sum()} of {len(fitted.used)} spots agree on a shape"
-    gaussian, held_out = _gaussian_chi2(spots.take(fitted.used), moments[fitted.used], gain), min(fitted.held_out.values())
-    if gaussian <= held_out:
-        return psf, None, (f"it describes the spots as well as a shape with more freedom predicts them (chi2 per pixel "
-                           f"{gaussian:.3f}, {held_out:.3f})")
-    return replace(psf, model="gauss_hermite", centre=CENTRE_OF_MASS, hermite=fitted.shape), fitted, ""
-
-
-def _gaussian_chi2(spots: Windows, moments: np.ndarray, gain: float) -> float:
-    """Chi2 per pixel of the Gaussian member, the windows set one below the other into one image."""
-    count, side = spots.data_dn.shape[:2]
-    radius = side // 2
-    shift = np.column_stack([np.zeros(count), side * np.arange(count)]) - spots.corner_xy
-    stacked = [a.reshape(count * side, side) for a in (spots.data_dn, spots.floor_dn2, ~spots.good)]
-    fit = fit_gaussians(*stacked, spots.xy_px + shift, moments, gain_dn_per_e=gain, radius=radius)
-    pixels = spots.good.sum((1, 2))
-    return float((fit.chi2_per_dof * (pixels - 4))[fit.converged].sum() / pixels[fit.converged].sum())
-
-
-def encircled(found: list[SpotShapes]) -> tuple[np.ndarray, np.ndarray]:
-    """Radius (R,) px and the share of the light within it, pixel included, over all spots.
-
-    A pixel's share of the flux is a sample of the recorded PSF at its distance; spots at all pixel phases together sample
-    it finely. The mean in each annulus times its area adds up to the curve; the window holds all light by definition.
-    """
-    distance = np.concatenate([s.distance_px.ravel() for s in found])
-    light = np.concatenate([s.light.ravel() for s in found])
-    inside = np.isfinite(light) & (distance < min(s.distance_px.max() for s in found) / np.sqrt(2))
-    edges = np.arange(0, distance[inside].max() + ANNULUS_PX, ANNULUS_PX)
-    total, _ = np.histogram(distance[inside], edges, weights=light[inside])
-    count, _ = np.histogram(distance[inside], edges)
-    middle, sampled = (edges[1:] + edges[:-1]) / 2, count > 0
-    density = np.interp(middle, middle[sampled], total[sampled] / count[sampled])
-    curve = np.concatenate([[0], np.cumsum(density * np.pi * np.diff(edges**2))])
-    return edges, curve / curve[-1]
-
-
-def _radius_px(found: list[SpotShapes], share: float) -> float:
-    radius, curve = encircled(found)
-    return float(np.interp(share, np.maximum.accumulate(curve), radius))
-
-
-def _encircled_radius(share: float, found: list[SpotShapes]) -> Quantity:
-    groups = [[_rows(s, slice(i, None, GROUPS)) for s in found] for i in range(GROUPS)]
-    radii = [_radius_px(g, share) for g in groups if sum(len(s.xy_px) for s in g) >= 3]
-    percent = round(100 * share)
-    return Quantity(name=f"ee{percent}_radius_px", value=_radius_px(found, share), unit="px", symbol=f"EE{percent}",
-                    uncertainty=float(np.std(radii, ddof=1) / np.sqrt(len(radii))) if len(radii) > 1 else None,
-                    source=f"radius of {percent} % of the light, mean of all spots, pixel included",
-                    reason="" if len(radii) > 1 else "too few spots for an uncertainty")
-
-
-def _quantities(moments: np.ndarray, found: list[SpotShapes], psf: PsfMap) -> tuple[Quantity, ...]:
-    major, minor = axes_px(moments)
-    recorded = moments + np.array([PIXEL_VARIANCE_PX2, PIXEL_VARIANCE_PX2, 0])
-    without_pixel = "median over the field; Gaussian moments, pixel integration taken out"
-    return (
-        _median("fwhm_px", FWHM_PER_SIGMA * np.sqrt(major * minor), "px", without_pixel),
-        _median("fwhm_with_pixel_px", FWHM_PER_SIGMA * np.sqrt(np.multiply(*axes_px(recorded))), "px",
-                "median over the field; Gaussian moments as the sensor records them (1/12 px^2 more)"),
-        _median("ellipticity", 1 - minor / major, "1", "1 - b/a; " + without_pixel),
-        _encircled_radius(0.5, found), _encircled_radius(0.8, found),
-        Quantity(name="spots_used", value=float(len(moments)), unit="1", source="count"),
-        Quantity(name="psf_residual_px2", value=psf.residual_rms_px2, unit="px^2", source="rms of the moments about the map"))
-
-
-def _shape_quantities(psf: PsfMap, fitted: Fitted | None, found: list[SpotShapes], first: Frame,
-                      settings: Settings) -> tuple[Quantity, ...]:
-    """Figures of the shape over the field; their errors by leaving out one part of the spots after the other."""
-    radius = found[0].windows.data_dn.shape[1] // 2
-    values = figures(psf, radius)
-    if fitted is not None:
-        others = [figures(replace(psf, hermite=one), radius) for one in fitted.without_fold]
-        error = {name: float(np.sqrt((len(others) - 1) * np.var([o[name] for o in others]))) for name in values}
-    reason = "" if fitted is not None else "of the Gaussian member; no error estimated"
-    out = [Quantity(name=name, value=value, uncertainty=error[name] if fitted is not None else None, reason=reason,
-                    unit="px" if name.endswith("_px") else "1", source=FIGURES[name]) for name, value in values.items()]
-    out.append(_strehl(psf, first, settings))
-    out.append(Quantity(name="chief_ray_shift_px", value=None, unit="px", source="centre of mass less chief ray",
-                        reason="needs the chief rays' places, which spots alone do not tell"))
-    shape = psf.hermite
-    return (*out, Quantity(name="core_residual_percent", unit="%", value=100 * shape.core_residual if shape else None,
-                           source="rms misfit above a fifth of the peak, of the peak",
-                           reason="" if shape else "no shape in the map"))
-
-
-def _strehl(psf: PsfMap, first: Frame, settings: Settings) -> Quantity:
-    reason, value = "", None
-    known = settings.wavelength_um and settings.f_number and first.pixel_size_um
-    lambda_n_px = settings.wavelength_um * settings.f_number / first.pixel_size_um if known else 0.0
-    if not known:
-        reason = "needs wavelength_um, f_number and the pixel size"
-    elif lambda_n_px < LEAST_LAMBDA_N_PX:
-        reason = f"wavelength times f-number is {lambda_n_px:.2g} px: below {LEAST_LAMBDA_N_PX:g} the pixel hides the lens"
-    else:
-        value = strehl(psf, lambda_n_px)
-    return Quantity(name="strehl", value=value, unit="1", reason=reason,
-                    source="peak over that of the diffraction-limited PSF through the same pixel")
+def _centres(field: FieldPsf, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places (N, 2) of the used spots and their frames (N,), as the map defines a spot's centre."""
+    if field.fitted is None:
+        return field.xy_px[field.used], number[field.used]
+    return field.fitted.spots.xy_px, number[field.used][field.fitted.used]
 
 
 def _shape_evidence(fitted: Fitted | None) -> dict[str, np.ndarray]:
@@ -277,24 +166,24 @@ def _shape_evidence(fitted: Fitted | None) -> dict[str, np.ndarray]:
             "held_out_order_degree": np.array(list(fitted.held_out)), "held_out_chi2": np.array(list(fitted.held_out.values()))}
 
 
-def _rows(found: SpotShapes, rows: slice) -> SpotShapes:
-    arrays = {name: getattr(found, name)[rows] for name in ("xy_px", "moments_px2", "flux_dn", "distance_px", "light")}
-    return SpotShapes(**arrays, rejected={}, windows=found.windows)
+def _field_evidence(field: FieldPsf, radius_px: int, stars: dict[str, np.ndarray], threshold_e: float,
+                    shift_px: np.ndarray) -> dict[str, np.ndarray]:
+    """What plots over the field are drawn from."""
+    at = places(field.psf.image_size_px)
+    of = figures_at(field.psf, at, radius_px)
+    out = {"field_xy_px": at, "field_fwhm_px": np.sqrt(of["fwhm_x_px"] * of["fwhm_y_px"])}
+    out |= {f"field_{name}": of[name] for name in ("ellipticity", "angle_rad", "ee80_radius_px", "central_pixel_fraction")}
+    if np.isfinite(threshold_e):
+        out |= {f"field_star_{name}_e": threshold_e * np.median(values, axis=1) for name, values in stars.items()
+                if name != "saturated"}
+    return out | ({"chief_ray_shift_px": shift_px} if np.isfinite(shift_px).any() else {})
 
 
-def _median(name: str, values: np.ndarray, unit: str, source: str) -> Quantity:
-    """Median with the 1-sigma error of a median, from the robust scatter."""
-    scatter = 1.4826 * np.median(np.abs(values - np.median(values)))
-    return Quantity(name=name, value=float(np.median(values)), uncertainty=float(1.2533 * scatter / np.sqrt(len(values))),
-                    unit=unit, source=source)
-
-
-def _warnings(ledger: Ledger, said: list[str], xy: np.ndarray, size: tuple[int, int],
-              calmap: CalibrationMap | None) -> tuple[str, ...]:
+def _warnings(ledger: Ledger, said: list[str], field: FieldPsf, calmap: CalibrationMap | None) -> tuple[str, ...]:
     out = [*ledger.warnings, *dict.fromkeys(said)]
     if calmap is None:
         out.append("no map was applied: hot pixels and pixel response are still in the spots")
-    covered = np.prod(np.ptp(xy, axis=0) / (np.array(size) - 1))
+    covered = np.prod(np.ptp(field.xy_px[field.used], axis=0) / (np.array(field.psf.image_size_px) - 1))
     if covered < 0.5:
         out.append(f"the spots cover {100 * covered:.0f} % of the image: beyond them the PSF map is a guess")
     return tuple(out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import ndtr
 
 from ..records import PsfMap
 from . import hermite
@@ -37,11 +38,12 @@ def light(psf: PsfMap, xy_px: np.ndarray, dx_px: np.ndarray, dy_px: np.ndarray, 
         found = hermite.coefficients_at(psf.hermite, place, psf.image_size_px)[0]
         return hermite.image(found, psf.hermite, dx_px, dy_px, pixel_px=pixel_px)
     s_xx, s_yy, s_xy = moments_at(psf, place)[0]
-    determinant = s_xx * s_yy - s_xy**2
-    nodes, weights = np.polynomial.legendre.leggauss(7)
-    total = 0.0
-    for i, wi in zip(nodes, weights, strict=True):
-        for j, wj in zip(nodes, weights, strict=True):
-            x, y = np.meshgrid(np.asarray(dx_px) + i * pixel_px / 2, np.asarray(dy_px) + j * pixel_px / 2)
-            total = total + wi * wj / 4 * np.exp(-(s_yy * x * x - 2 * s_xy * x * y + s_xx * y * y) / (2 * determinant))
-    return total / (2 * np.pi * np.sqrt(determinant)) * (pixel_px**2 or 1.0)
+    sigma = np.sqrt(s_xx - s_xy**2 / s_yy)  # along x, on a given y
+    x, total = np.asarray(dx_px, float), 0.0
+    for node, weight in zip(*np.polynomial.legendre.leggauss(7 if pixel_px else 1), strict=True):
+        y = np.asarray(dy_px, float)[:, None] + node * pixel_px / 2
+        middle = s_xy / s_yy * y
+        along_x = (ndtr((x + pixel_px / 2 - middle) / sigma) - ndtr((x - pixel_px / 2 - middle) / sigma) if pixel_px
+                   else np.exp(-(((x - middle) / sigma) ** 2) / 2) / np.sqrt(2 * np.pi) / sigma)
+        total = total + weight / 2 * along_x * np.exp(-(y**2) / (2 * s_yy))
+    return total / np.sqrt(2 * np.pi * s_yy) * (pixel_px or 1.0)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from calibench.spots.detectable import CRITERIA, detectable_flux_e, limiting_magnitude, pixel_fractions
+from calibench.spots.detectable import CRITERIA, detectable_flux_e, least_flux, limiting_magnitude, pixel_fractions
 
 
 def test_pixel_fractions_integrate_the_gaussian():
@@ -33,4 +33,20 @@ def test_a_matched_filter_sees_fainter_and_a_magnitude_follows():
 def test_what_makes_no_sense_is_refused(wrong):
     with pytest.raises(ValueError):
         detectable_flux_e(*wrong)
-    assert len(CRITERIA) == 3
+
+
+@pytest.mark.parametrize(("sigma", "ceiling"), [(0.5, 5400), (0.7, 1300), (0.8, 1000), (1.0, 770), (1.5, 810)])
+def test_the_ceiling_of_nine_pixels_rejects_bright_stars(sigma, ceiling):
+    """Independent figures of the flux above which a tenth pixel is lit at 29.6 e-, at a quarter of the phases."""
+    steps = np.linspace(-0.5, 0.5, 41)
+    phases = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    flux = least_flux(pixel_fractions((sigma, sigma), phases), 29.6, "ten_pixels")
+    assert np.percentile(flux, 25) == pytest.approx(ceiling, rel=0.06)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_criteria_by_hand(criterion):
+    """Shares 0.3 in the peak, on the window's rim, so that one arm of the plus is dark; 0.1, 0.08 ... around."""
+    light = np.array([[[0.3, 0.1, 0.02, 0.01], [0.1, 0.08, 0.02, 0.01], [0.05, 0.01, 0.01, 0.005]]])
+    wanted = {"plus": np.inf, "four_pixels": 10 / 0.08, "ten_pixels": 10 / 0.01, "matched": 10 / np.sqrt((light**2).sum())}
+    assert least_flux(light, 10.0, criterion)[0] == pytest.approx(wanted[criterion])

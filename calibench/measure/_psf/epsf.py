@@ -48,11 +48,11 @@ class Windows:
 
 @dataclass(frozen=True, kw_only=True)
 class Fitted:
-    """shape, and the shapes (FOLDS) with one part of the spots left out each; spots: state of those used; used (N,) bool;
-    chi2 of the used spots (N_used,) per degree of freedom; held_out: (order, degree) -> chi2 per pixel of left-out spots."""
+    """shape, and the shapes (FOLDS) without one part of the spots each; spots: state of those used; used (N,) bool; chi2 of the
+    used spots (N_used,) per degree of freedom; held_out: (order, degree) -> chi2 per pixel of left-out spots."""
 
     shape: HermiteShape
-    without_fold: tuple[HermiteShape, ...]
+    without_part: tuple[HermiteShape, ...]
     spots: Windows
     used: np.ndarray
     chi2: np.ndarray
@@ -115,11 +115,14 @@ def fit_shape(spots: Windows, image_size_px: tuple[int, int], *, gain_dn_per_e: 
                             radius_px=spots.data_dn.shape[1] // 2, core_residual=0.0, dither_coverage=dither_coverage)
     without = tuple(shape(*rest) for rest in others)
     found = shape(whole, right + whole @ before)
-    terms = field_terms(now.xy_px, image_size_px, degree)
+    terms_used, terms = terms, field_terms(now.xy_px, image_size_px, degree)
     last = _normal(now, found.coefficients, terms, order, scale_px, gain_dn_per_e, pinhole_px, robust=True)
     now = _moved(now, last, np.zeros(last.right.shape))
     residual = _core_residual(now, found, without, image_size_px, gain_dn_per_e, pinhole_px)
-    return Fitted(shape=replace(found, core_residual=residual), without_fold=without, spots=now, used=used,
+    # Figures take their errors from parts that leave no gap in the field: a gap would add what is extrapolated into it.
+    apart = [_assembled(normal, terms_used, np.arange(len(folds)) % FOLDS == part) for part in range(FOLDS)]
+    mixed = tuple(shape(whole - part, right - part_right + (whole - part) @ before) for part, part_right in apart)
+    return Fitted(shape=replace(found, core_residual=residual), without_part=mixed, spots=now, used=used,
                   chi2=last.chi2 / np.maximum(last.pixels - 4, 1), held_out=judged)
 
 
@@ -222,8 +225,8 @@ def _images(parts: list[tuple[np.ndarray, ...]], coefficients: np.ndarray) -> li
 def _assembled(normal: _Normal, terms: np.ndarray, rows: slice | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The whole matrix and right side of these spots: a sum of G_s (x) t t'."""
     t, count, functions = terms[rows], terms.shape[1], normal.right.shape[1]
-    squares = (t[:, :, None] * t[:, None, :]).reshape(len(t), -1)
-    matrix = normal.matrix[rows].reshape(len(t), -1).T @ squares
+    squares = (t[:, :, None] * t[:, None, :]).reshape(len(t), count**2)  # a fold may be empty
+    matrix = normal.matrix[rows].reshape(len(t), functions**2).T @ squares
     matrix = matrix.reshape(functions, functions, count, count).swapaxes(1, 2).reshape(functions * count, -1)
     return matrix, (normal.right[rows].T @ t).ravel()
 

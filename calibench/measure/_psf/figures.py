@@ -26,6 +26,10 @@ FIGURES = {  # quantity -> its definition
     "mtf_nyquist_tangential": "MTF at 0.5 cycles a pixel along the radius, pixel included",
     "mtf_nyquist_sagittal": "MTF at 0.5 cycles a pixel across the radius, pixel included",
     "fwhm_anisotropy": "(largest - smallest) / mean of the FWHM over the field",
+    "ee80_anisotropy": "(largest - smallest) / mean of the radius of 80 % of the light over the field",
+    "ellipticity_95": "1 - b/a that 95 % of the field stay below; Gaussian moments, pixel integration taken out",
+    "ellipticity_common": "part of (e1, e2) that is alike over the field, as 1 - b/a: a drift, a tilt, a squeezed lens",
+    "ellipticity_radial": "field mean of e1 cos 2f + e2 sin 2f without the common part: along the radius where positive",
     "magnitude_term_px": "drift of a symmetric Gaussian's centroid from 1e3 to 1e5 e-, rms over the field",
 }
 
@@ -37,17 +41,67 @@ def places(image_size_px: tuple[int, int]) -> np.ndarray:
 
 
 def figures(psf: PsfMap, radius_px: int) -> dict[str, float]:
-    """Field medians (isotropy: spread over the field) by quantity name."""
-    at = [_at_place(psf, xy, radius_px) for xy in places(psf.image_size_px)]
-    out = {name: float(np.median([one[name] for one in at])) for name in at[0]}
-    widths = [np.sqrt(one["fwhm_x_px"] * one["fwhm_y_px"]) for one in at]
+    """Field medians (what FIGURES says otherwise: over the field) by quantity name, and e1, e2 of the common ellipticity."""
+    at = figures_at(psf, places(psf.image_size_px), radius_px)
+    ellipticity, angle, ee80 = (at.pop(name) for name in ("ellipticity", "angle_rad", "ee80_radius_px"))
+    out = {name: float(np.median(values)) for name, values in at.items()}
+    widths = np.sqrt(at["fwhm_x_px"] * at["fwhm_y_px"])
     out["fwhm_anisotropy"] = float(np.ptp(widths) / np.mean(widths))
+    out["ee80_anisotropy"] = float(np.ptp(ee80) / np.mean(ee80))
+    out["ellipticity_95"] = float(np.percentile(ellipticity, 95))
+    axes2 = (1 - ellipticity) ** 2
+    e = (1 - axes2) / (1 + axes2) * np.array([np.cos(2 * angle), np.sin(2 * angle)])
+    out["e1"], out["e2"], out["ellipticity_radial"] = _common_and_radial(e, psf.image_size_px)
+    out["ellipticity_common"] = _flattening(np.hypot(out["e1"], out["e2"]))
     out["magnitude_term_px"] = magnitude_term_px(psf, radius_px)
     return out
 
 
-def _at_place(psf: PsfMap, xy_px: np.ndarray, radius_px: int) -> dict[str, float]:
+def _common_and_radial(e: np.ndarray, image_size_px: tuple[int, int]) -> tuple[float, float, float]:
+    """Common e1 and e2, and the mean ellipticity along the radius, of (2, N) at `places`.
+
+    A lens symmetric about the image's centre has e along or across the radius, as r^2 and r^4; over a rectangle its mean does
+    not vanish. So the common part is fitted beside it.
+    """
+    offset = (places(image_size_px) - (np.array(image_size_px) - 1) / 2) / image_size_px[0]
+    r2, twice = (offset**2).sum(1), 2 * np.arctan2(offset[:, 1], offset[:, 0])
+    along = np.array([np.cos(twice), np.sin(twice)])
+    common = np.repeat(np.eye(2), len(r2), axis=0)
+    terms = np.column_stack([common, (along * r2).ravel(), (along * r2**2).ravel()])
+    found = np.linalg.lstsq(terms, e.ravel(), rcond=None)[0][:2]
+    return float(found[0]), float(found[1]), float(np.mean(((e - found[:, None]) * along).sum(0)))
+
+
+def _flattening(e: float) -> float:
+    """1 - b/a of an ellipticity (a^2 - b^2) / (a^2 + b^2)."""
+    return float(1 - np.sqrt((1 - e) / (1 + e)))
+
+
+def figures_at(psf: PsfMap, xy_px: np.ndarray, radius_px: int) -> dict[str, np.ndarray]:
+    """Figures (N,) at places (N, 2) by name: those of FIGURES that a single place has, and ellipticity, angle_rad (of the major
+    axis, from x towards y), ee80_radius_px."""
     fine = np.arange(-radius_px * FINE, radius_px * FINE + 1) / FINE
+    rings = np.hypot(fine, fine[:, None]).ravel()
+    order = rings.argsort()
+    found = [_at_place(psf, xy, fine, radius_px, (order, rings[order])) for xy in xy_px]
+    out = {name: np.array([one[name] for one in found]) for name in found[0]}
+    s_xx, s_yy, s_xy = moments_at(psf, xy_px).T
+    half = np.hypot((s_xx - s_yy) / 2, s_xy)
+    out["ellipticity"] = 1 - np.sqrt(np.maximum((s_xx + s_yy) / 2 - half, 0) / ((s_xx + s_yy) / 2 + half))
+    out["angle_rad"] = np.arctan2(2 * s_xy, s_xx - s_yy) / 2
+    return out
+
+
+def pixel_shares(psf: PsfMap, xy_px: np.ndarray, radius_px: int, phases: int) -> np.ndarray:
+    """(phases^2, R, R) shares of the light in the pixels about a spot at xy (2,), centred anywhere in its pixel."""
+    offsets = np.arange(-(radius_px + 0.5) * phases, (radius_px + 0.5) * phases) / phases + 0.5 / phases
+    image = light(psf, xy_px, offsets, offsets)
+    side = 2 * radius_px + 1
+    return image.reshape(side, phases, side, phases).transpose(1, 3, 0, 2).reshape(phases**2, side, side)
+
+
+def _at_place(psf: PsfMap, xy_px: np.ndarray, fine: np.ndarray, radius_px: int,
+              rings: tuple[np.ndarray, np.ndarray]) -> dict[str, float]:
     image = light(psf, xy_px, fine, fine)
     middle = radius_px * FINE
     pixels = image[middle % FINE::FINE, middle % FINE::FINE]
@@ -55,11 +109,14 @@ def _at_place(psf: PsfMap, xy_px: np.ndarray, radius_px: int) -> dict[str, float
     near = [slice(middle + FINE * i - half, middle + FINE * i + half + 1) for i in (-1, 0, 1)]
     ensquared = sum(image[rows, columns] for rows in near for columns in near)
     top, left = np.unravel_index(image.argmax(), image.shape)
+    order, distance = rings
+    encircled = np.maximum.accumulate(np.cumsum(image.ravel()[order]))
     return {"fwhm_x_px": _width(image[top], fine), "fwhm_y_px": _width(image[:, left], fine),
             "central_pixel_fraction": float(image[middle, middle]), "ensquared_3x3_fraction": float(ensquared[half, half]),
             "ensquared_3x3_worst_fraction": float(ensquared.min()),
             "effective_pixels": float(pixels.sum() ** 2 / (pixels**2).sum()),
-            "asymmetry": float(np.abs(image - _turned(image, top, left)).sum() / image.sum() / 2)} | _transfer(psf, xy_px)
+            "asymmetry": float(np.abs(image - _turned(image, top, left)).sum() / image.sum() / 2),
+            "ee80_radius_px": float(np.interp(0.8, encircled / encircled[-1], distance))} | _transfer(psf, xy_px)
 
 
 def _width(cut: np.ndarray, fine: np.ndarray) -> float:
