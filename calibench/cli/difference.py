@@ -73,7 +73,7 @@ def _paragraphs(values: dict) -> Iterator[str]:
         yield table(("layer (B - A)", "median", "scatter", "largest"),
                     [(name, *change.values()) for name, change in values["layers"].items()])
     if values["defects"]:
-        yield table(("defect", "in A", "in B", "new", "gone", "surely new", "surely gone", "growth (sigma)"),
+        yield table(("defect", "in A", "in B", "in both", "new", "gone", "surely new", "surely gone", "growth (sigma)"),
                     [(name, *("-" if v is None else v for v in list(change.values())[:-1]), number(change["growth_sigma"], 2))
                      for name, change in values["defects"].items()])
     for which in ("a", "b"):

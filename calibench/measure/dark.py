@@ -27,6 +27,7 @@ from ._dark.temperatures import Temperatures, over_temperature
 from ._defects import flags, typical
 from ._frames.ledger import TEMPERATURE_DRIFT_C, Ledger
 from ._gain import Gain, known_gain
+from ._since import with_changes
 
 NOT_AGAIN = "the frames cannot be read a second time: telegraph pixels and hits were not looked for"
 
@@ -51,7 +52,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
 
     Args:
         frames: darks of one camera setting, any exposures and temperatures, any order; read a second time where they can be.
-        calmap: a map whose gain turns DN into e-.
+        calmap: a map whose gain turns DN into e-; where it holds the darks of another session, its defects are compared.
 
     Raises:
         BadInput: no frames, mixed settings, a frame that is not dark (named), absurd exposures or rates.
@@ -75,13 +76,14 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         maps |= {"dark_rate_dn_per_s": ladder.rate_dn_per_s, "dark_rate_uncertainty_dn_per_s": np.sqrt(ladder.rate_variance)}
     if quiet is not None:
         maps["read_noise_dn"] = read_noise_map(quiet, found.masks["noisy"])
-    return Measurement(
+    measured = Measurement(
         name="dark", image_size_px=(w, h), maps=maps, layers=warm.layers, provenance=_provenance(ledger, ladder, warm),
         evidence=_evidence(ladder) | found.evidence | warm.evidence,
         quantities=quantities(ladder, quiet, gain, found, (warm.law, warm.why_not), settings.false_alarms),
         warnings=(*_warnings(ledger, ladder, len(groups)), *warm.warnings, *refused,
                   *_blind(found, ladder, unit, settings, np.isfinite(gain.dn_per_e))),
         frames_used=sum(level.count for levels in groups for level in levels), frames_rejected=tuple(ledger.rejected))
+    return with_changes(measured, calmap, ("hot", "stuck", "noisy", "telegraph"), "offset_dn")
 
 
 def _collect(frames: Iterable[Frame], settings: Settings) -> tuple[Ledger, list[list[DarkLevel]]]:

@@ -25,6 +25,7 @@ from ._flat.illumination import illumination
 from ._flat.levels import RIGHT_FILL, FlatLevel, FlatLevels
 from ._frames.glance import glance
 from ._frames.ledger import Ledger
+from ._since import with_changes
 from ._transfer import MAX_FILL, TransferPoint
 
 
@@ -84,7 +85,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         layers["saturation_dn"] = float(first.white_level_dn)
     w, h = first.image_size_px
     counts, edges = np.histogram(response, bins=256, range=(0, 2))
-    return Measurement(
+    measured = Measurement(
         name="flat", image_size_px=(w, h), layers=layers,
         maps={"response": response, "response_uncertainty": uncertainty, "illumination": smooth,
               "defects": with_clusters(flags((h, w), dead=dead, cold=cold, row=row, column=column))},
@@ -104,6 +105,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         provenance=ledger.provenance(), warnings=_warnings(ledger, verdicts, best, first),
         frames_used=sum(v.count for v in usable) + sum(v.count for v in (darks.levels if darks else ())),
         frames_rejected=tuple(ledger.rejected))
+    return with_changes(measured, calmap, ("dead", "cold"), "response")
 
 
 def _collect(frames: Iterable[Frame], ledger: Ledger, settings: Settings) -> tuple[FlatLevels, DarkBelow | None]:

@@ -145,9 +145,9 @@ def test_layers_change_by_median_scatter_and_largest():
 def test_defects_appear_and_go():
     a, b = np.zeros((2, H, W), np.uint16)
     a[0, :3], b[0, 2:7] = DEFECT_FLAGS["hot"], DEFECT_FLAGS["hot"] | DEFECT_FLAGS["cluster"]
-    found = {change.name: dataclasses.astuple(change)[1:5] for change in
+    found = {change.name: dataclasses.astuple(change)[1:6] for change in
              compare(camera_map(defects=a), camera_map(defects=b)).defects}
-    assert found == {"hot": (3, 5, 4, 2), "cluster": (0, 5, 5, 0)}
+    assert found == {"hot": (3, 5, 1, 4, 2), "cluster": (0, 5, 0, 5, 0)}
 
 
 def test_where_all_pixels_are_defective_they_are_compared_all_the_same():
@@ -179,8 +179,29 @@ def test_growth_is_told_from_pixels_at_the_threshold():
             for r, d in ((rate, before), (later, after))]
     change = next(d for d in compare(*maps).defects if d.name == "hot")
     assert (change.new, change.gone, change.new_certain, change.gone_certain) == (12, 4, 9, 0)
-    assert change.growth_sigma == pytest.approx(2.0)
+    assert change.confirmed == 0 and change.growth_sigma == pytest.approx(3.0)  # of the nine that have surely changed
     back = next(d for d in compare(*maps[::-1]).defects if d.name == "hot")
-    assert (back.gone_certain, back.growth_sigma) == (9, pytest.approx(-2.0))
+    assert (back.gone_certain, back.growth_sigma) == (9, pytest.approx(-3.0))
     without = [camera_map(defects=d) for d in (before, after)]
     assert next(iter(compare(*without).defects)).new_certain is None
+
+
+@pytest.mark.parametrize(("energy_ev", "certain"), [(0.6, (0, 1)), (None, (None, None))])
+def test_a_warmer_session_has_no_new_hot_pixels_for_that(energy_ev, certain):
+    """15 degrees warmer the rates are 3.3-fold: pixels cross the limit, none has changed but the one that healed."""
+    hot = DEFECT_FLAGS["hot"]
+    cold, warm = 10.0, 25.0
+    factor = np.exp(-0.6 / 8.617333e-5 * (1 / (warm + 273.15) - 1 / (cold + 273.15)))
+    rate = np.random.default_rng(4).normal(10, 0.1, (H, W))
+    rate[2, :10] = 18
+    later = factor * rate
+    before = np.where(rate > 20, hot, 0).astype(np.uint16)
+    before[5, 5], rate[5, 5] = hot, 90
+    after = np.where(later > 20 * 1.9, hot, 0).astype(np.uint16)
+    law = {} if energy_ev is None else {"dark_activation_ev": energy_ev}
+    error = np.full((H, W), 0.5)
+    a, b = (camera_map(dark_rate_dn_per_s=r, dark_rate_uncertainty_dn_per_s=error, defects=d, dark_reference_c=c, **extra)
+            for r, d, c, extra in ((rate, before, cold, law), (later, after, warm, {})))
+    change = next(d for d in compare(a, b).defects if d.name == "hot")
+    assert (change.new, change.gone) == (10, 1)
+    assert (change.new_certain, change.gone_certain) == certain

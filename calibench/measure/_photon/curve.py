@@ -74,7 +74,7 @@ class Curve:
 
     light: in `light_unit` ("photons" or "s"; "" where neither is known, then NaN). signal_dn, variance_dn2: above dark;
     variance_error_dn2: 1-sigma, without the part that all levels share. correlation: (K, 6) of the noise with the neighbours at
-    `crosstalk.STEPS`, NaN where not looked for; dark_correlation: (6,) of the dark below. saturation: index of the level of R4's
+    `crosstalk.STEPS`, NaN where not looked for; dark_correlation: (6,) of the dark. saturation: index of the level of R4's
     rule, None where none was reached; `saturated_by` says how. own_dark: each level has darks of its own exposure.
     """
 

@@ -108,7 +108,7 @@ def linearity_error(curve: Curve) -> tuple[Figure, np.ndarray, np.ndarray]:
     """LE in %: mean absolute relative deviation from the line of least relative squares, over 5 to 95 % of saturation.
 
     Noise alone makes this mean larger than zero. The error is what covers the noise-free figure in 68 % of draws of the levels'
-    noise about deviations that are drawn in towards the line as far as their scatter is noise.
+    noise about deviations that are drawn in towards the line as far as their scatter may be noise.
 
     Returns:
         LE, the levels used (K,) bool, and their deviations in %.
@@ -127,7 +127,7 @@ def linearity_error(curve: Curve) -> tuple[Figure, np.ndarray, np.ndarray]:
     found = float(np.mean(np.abs(deviation)))
     by_level = 100 * (np.eye(len(x)) - (y / line_dn)[:, None] * (design * y[:, None] @ solver)) / line_dn[:, None]
     noise = by_level * curve.signal_error_dn[used] @ np.random.default_rng(0).standard_normal((len(x), DRAWS))
-    chance = float(np.mean(noise**2))
+    chance = float(np.mean(noise**2)) * (1 + np.sqrt(2 / len(x)))
     bent = deviation * np.sqrt(max(1 - chance / np.mean(deviation**2), 0.0))
     drawn = np.mean(np.abs(bent[:, None] + noise), axis=0)
     error = np.quantile(np.abs(drawn - np.mean(np.abs(bent))), CERTAIN)
