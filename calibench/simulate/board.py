@@ -1,7 +1,7 @@
 """A checkerboard before the simulated camera: where its corners fall, and its picture through the distorting lens.
 
-Board axes: origin at the first inner corner, x along the columns, y along the rows, z into the board. The camera is
-stopped down for boards, so that the blur is a small round Gaussian without coma: corners mark chief rays.
+Board axes: origin at the first inner corner, x along the columns, y along the rows, z into the board. The lens has one
+aperture: a board is blurred by the PSF that stars have, and a corner stands where the centre of mass of a point's light would.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ from ..errors import BadInput
 from ..geometry.projection import project, unproject
 from ..geometry.rotation import matrix_from_rotvec, rotvec_from_matrix
 from .camera import SimulatedCamera
+from .psf import Aberrations, Flare, flare
 
 _WHITE, _BLACK, _WALL = 1.0, 0.06, 0.25
 _MARGIN_SQUARES = 1.0
 _DRAWS_PER_POSE = 40
 _EDGE_PX = 8
+_PIXEL_VARIANCE_PX2 = 1 / 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,13 +112,16 @@ def _outline_px(camera: SimulatedCamera, board: Board, pose: BoardPose) -> np.nd
 
 
 def render_board(camera: SimulatedCamera, board: Board, pose: BoardPose, *, white_e: float,
-                 blur_sigma_px: float = 0.7) -> np.ndarray:
+                 blur_sigma_px: float | None = None) -> np.ndarray:
     """Expected electrons (H, W) of the board evenly lit, white_e on its white where the lens is brightest.
 
-    Each pixel's ray is met with the board's plane, and there the pattern is taken as a Gaussian sees it, in closed form:
-    optical blur of blur_sigma_px, and the pixel's square as 1/12 px^2 more variance, which is its integral to 3e-4 of the
-    contrast (the square's fourth cumulant, 1/120 px^4). Against brute force (31 x 31 rays a pixel) corners move by less
-    than 0.003 px.
+    Each pixel's ray is met with the board's plane, and there the pattern is taken as each Gaussian of the lens's PSF sees it,
+    in closed form, the pixel's square as 1/12 px^2 more variance, which is its integral to 3e-4 of the contrast (the square's
+    fourth cumulant, 1/120 px^4). Against brute force (31 x 31 rays a pixel) corners move by less than 0.003 px.
+    blur_sigma_px: a round Gaussian in place of the lens's PSF.
+
+    Raises:
+        BadInput: the camera's PSF is a Pupil, which is no sum of Gaussians.
     """
     rotation = matrix_from_rotvec(np.array(pose.rotvec_rad))
     # Board coordinates of the ray's points s d: R^T (s d - t); s is where the third of them is zero.
@@ -125,11 +130,31 @@ def render_board(camera: SimulatedCamera, board: Board, pose: BoardPose, *, whit
     scale = np.where(origin[2] * ray[..., 2] < 0, -origin[2] / ray[..., 2], np.nan)  # NaN: the ray never meets the plane
     u_mm, v_mm = (scale * ray[..., i] + origin[i] for i in (0, 1))
     (u_by_y, u_by_x), (v_by_y, v_by_x) = np.gradient(u_mm), np.gradient(v_mm)
-    u_slope, v_slope = np.hypot(u_by_x, u_by_y), np.hypot(v_by_x, v_by_y)
-    skew = (u_by_x * v_by_x + u_by_y * v_by_y) / (u_slope * v_slope)
-    blur_px = np.sqrt(blur_sigma_px**2 + 1 / 12)
-    light = _reflectance(board, u_mm, v_mm, blur_px * u_slope, blur_px * v_slope, skew)
+    parts = _blur(camera, blur_sigma_px)
+    cos, sin = parts.outward.T.reshape(2, *u_mm.shape)
+    u_out, u_across, v_out, v_across = (u_by_x * cos + u_by_y * sin, u_by_y * cos - u_by_x * sin,
+                                        v_by_x * cos + v_by_y * sin, v_by_y * cos - v_by_x * sin)
+    light = np.zeros(u_mm.shape)
+    for weight, *figures in zip(parts.weight, parts.offset_px, parts.radial_px2, parts.tangential_px2, strict=True):
+        offset, radial, tangential = (a.reshape(u_mm.shape) for a in figures)
+        radial, tangential = radial + _PIXEL_VARIANCE_PX2, tangential + _PIXEL_VARIANCE_PX2
+        u_blur = np.sqrt(radial * u_out**2 + tangential * u_across**2)
+        v_blur = np.sqrt(radial * v_out**2 + tangential * v_across**2)
+        skew = (radial * u_out * v_out + tangential * u_across * v_across) / (u_blur * v_blur)
+        light += weight * _reflectance(board, u_mm - offset * u_out, v_mm - offset * v_out, u_blur, v_blur, skew)
     return white_e * camera.transmission * np.where(np.isfinite(light), light, _WALL)
+
+
+def _blur(camera: SimulatedCamera, blur_sigma_px: float | None) -> Flare:
+    """The PSF about every pixel."""
+    aberrations, (width, height) = camera.aberrations, camera.image_size_px
+    if blur_sigma_px is not None:
+        aberrations = Aberrations(core_sigma_px=blur_sigma_px, radial_blur_px=0.0, tangential_blur_px=0.0, coma_px=0.0,
+                                  centre_px=(0.0, 0.0), corner_radius_px=1.0)
+    if not isinstance(aberrations, Aberrations):
+        raise BadInput("a board through a Pupil is not rendered", mend="give the camera Aberrations, or blur_sigma_px")
+    rows, columns = np.mgrid[:height, :width]
+    return flare(aberrations, np.column_stack([columns.ravel(), rows.ravel()]))
 
 
 def _reflectance(board: Board, u_mm: np.ndarray, v_mm: np.ndarray, u_blur_mm: np.ndarray, v_blur_mm: np.ndarray,

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from .camera import SimulatedCamera
-from .psf import centroid_px, render_sources
+from .psf import chief_ray_px, render_sources
 
 
 @dataclass(frozen=True, kw_only=True)
 class PinholeImage:
-    """light_e (H, W): expected electrons; xy_px (N, 2) chief rays, centroid_px (N, 2) flux-weighted centroids, flux_e (N,)."""
+    """light_e (H, W): expected electrons; xy_px (N, 2) centres of mass, chief_ray_px (N, 2), flux_e (N,)."""
 
     light_e: np.ndarray
     xy_px: np.ndarray
-    centroid_px: np.ndarray
+    chief_ray_px: np.ndarray
     flux_e: np.ndarray
 
 
@@ -32,4 +32,4 @@ def pinholes(camera: SimulatedCamera, *, columns: int, rows: int, flux_e: float,
     nearest_x, nearest_y = np.rint(xy_px).astype(int).T
     flux = flux_e * camera.transmission[nearest_y, nearest_x]
     light_e = render_sources(camera.aberrations, xy_px, flux, (width, height), pinhole_px=diameter_px)
-    return PinholeImage(light_e=light_e, xy_px=xy_px, centroid_px=centroid_px(camera.aberrations, xy_px), flux_e=flux)
+    return PinholeImage(light_e=light_e, xy_px=xy_px, chief_ray_px=chief_ray_px(camera.aberrations, xy_px), flux_e=flux)

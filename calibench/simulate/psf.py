@@ -1,10 +1,9 @@
 """Point spread function of the simulated lens: sub-pixel, pixel-integrated, astigmatic and comatic off the axis.
 
-Centre convention: a source's true position is its chief ray, the pixel that `geometry.projection.project` gives for its
-direction. Astigmatism and field curvature are symmetric about it and leave the centroid there; coma draws a flare outward
-along the field radius, so that the flux-weighted centroid lies `coma_px * field` outside the chief ray (field = 1 at
-the image corner). Third-order coma being linear in the field, that shift looks like a slightly longer focal length to a
-centroid: coma_px / corner_radius_px of it.
+Centre convention: a source's true position, the pixel that `geometry.projection.project` gives for its direction, is the centre
+of mass of its light (docs/conventions.md), and the camera's lens is the one of these centres. Astigmatism and field curvature
+are symmetric about the chief ray; coma draws a flare outward along the field radius, so that the chief ray lies
+`coma_px * field` inside the centre of mass (field = 1 at the image corner). Boards are seen through the same PSF (`board`).
 """
 
 from __future__ import annotations
@@ -14,14 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import BadInput
-from .pupil import Pupil, centroid_shift_px
+from .pupil import Pupil, coma_shift_px
 from .pupil import stamps as pupil_stamps
 
-# The comatic figure as three Gaussians along the field radius: weight, offset and extra sigma in units of the flare's length.
+# The comatic figure as three Gaussians along the field radius: weight, offset from the chief ray and extra sigma, these two in
+# units of the flare's length.
 _FLARE = np.array([[0.70, 0.0, 0.0], [0.22, 1.0, 0.35], [0.08, 2.25, 0.80]])
 _MEAN_OFFSET = float(_FLARE[:, 0] @ _FLARE[:, 1])
-_OFFSET_VARIANCE = float(_FLARE[:, 0] @ _FLARE[:, 1] ** 2) - _MEAN_OFFSET**2
-_EXTRA_VARIANCE = float(_FLARE[:, 0] @ _FLARE[:, 2] ** 2)
 _HALF_WINDOW_PX = 9
 _PIXEL_VARIANCE_PX2 = 1 / 12
 
@@ -31,7 +29,7 @@ class Aberrations:
     """The lens's PSF over the field, third order: coma grows with the field, astigmatism and field curvature with its square.
 
     core_sigma_px: Gaussian sigma on the axis, before the pixel integrates. radial_blur_px, tangential_blur_px: sigma that
-    astigmatism and field curvature add in quadrature at the corner. coma_px: outward shift of the centroid at the corner.
+    astigmatism and field curvature add in quadrature at the corner. coma_px: the centroid's way outward of the chief ray there.
     centre_px: the optical axis; corner_radius_px: its field radius 1.
     """
 
@@ -51,21 +49,40 @@ def _field(aberrations: Aberrations | Pupil, xy_px: np.ndarray) -> tuple[np.ndar
     return field, outward
 
 
-def centroid_px(aberrations: Aberrations | Pupil, xy_px: np.ndarray) -> np.ndarray:
-    """Flux-weighted centroid (N, 2) of the PSF of sources whose chief rays are xy_px (N, 2)."""
+def chief_ray_px(aberrations: Aberrations | Pupil, xy_px: np.ndarray) -> np.ndarray:
+    """Chief rays (N, 2) of sources whose light has its centre of mass at xy_px (N, 2)."""
     field, outward = _field(aberrations, xy_px)
-    shift_px = centroid_shift_px(aberrations, field) if isinstance(aberrations, Pupil) else aberrations.coma_px * field
-    return np.asarray(xy_px, float).reshape(-1, 2) + shift_px[:, None] * outward
+    shift_px = coma_shift_px(aberrations, field) if isinstance(aberrations, Pupil) else aberrations.coma_px * field
+    return np.asarray(xy_px, float).reshape(-1, 2) - shift_px[:, None] * outward
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flare:
+    """The PSF at N places as a sum of Gaussians, before the pixel: weight (3,); offset_px outward of the centre of mass,
+    radial_px2 and tangential_px2 variance (3, N); outward (N, 2) unit vector."""
+
+    weight: np.ndarray
+    offset_px: np.ndarray
+    radial_px2: np.ndarray
+    tangential_px2: np.ndarray
+    outward: np.ndarray
+
+
+def flare(aberrations: Aberrations, xy_px: np.ndarray) -> Flare:
+    """The PSF about each of the centres of mass xy_px (N, 2)."""
+    field, outward = _field(aberrations, xy_px)
+    length_px = aberrations.coma_px * field / _MEAN_OFFSET
+    common = aberrations.core_sigma_px**2 + (_FLARE[:, 2:] * length_px) ** 2
+    return Flare(weight=_FLARE[:, 0], offset_px=(_FLARE[:, 1:2] - _MEAN_OFFSET) * length_px, outward=outward,
+                 radial_px2=common + (aberrations.radial_blur_px * field**2) ** 2,
+                 tangential_px2=common + (aberrations.tangential_blur_px * field**2) ** 2)
 
 
 def moments_px2(aberrations: Aberrations, xy_px: np.ndarray) -> np.ndarray:
     """Second central moments (N, 3) s_xx, s_yy, s_xy of the pixel-integrated PSF at xy_px (N, 2), px^2."""
-    field, outward = _field(aberrations, xy_px)
-    flare_px = aberrations.coma_px * field / _MEAN_OFFSET
-    common = aberrations.core_sigma_px**2 + flare_px**2 * _EXTRA_VARIANCE
-    radial = common + (aberrations.radial_blur_px * field**2) ** 2 + flare_px**2 * _OFFSET_VARIANCE
-    tangential = common + (aberrations.tangential_blur_px * field**2) ** 2
-    cos, sin = outward.T
+    parts = flare(aberrations, xy_px)
+    radial, tangential = parts.weight @ (parts.radial_px2 + parts.offset_px**2), parts.weight @ parts.tangential_px2
+    cos, sin = parts.outward.T
     return np.column_stack([radial * cos**2 + tangential * sin**2 + _PIXEL_VARIANCE_PX2,
                             radial * sin**2 + tangential * cos**2 + _PIXEL_VARIANCE_PX2,
                             (radial - tangential) * cos * sin])
@@ -73,7 +90,7 @@ def moments_px2(aberrations: Aberrations, xy_px: np.ndarray) -> np.ndarray:
 
 def render_sources(aberrations: Aberrations | Pupil, xy_px: np.ndarray, flux_e: np.ndarray, image_size_px: tuple[int, int], *,
                    pinhole_px: float = 0.0) -> np.ndarray:
-    """Image (H, W) of expected electrons of point sources: chief rays xy_px (N, 2), fluxes flux_e (N,).
+    """Image (H, W) of expected electrons of point sources: centres of mass xy_px (N, 2), fluxes flux_e (N,).
 
     What falls off the image is lost; the window of 19 pixels holds all but 2e-6 of a flux (of a pupil's, with its diffraction
     wings, all but 1 %). pinhole_px: diameter of the sources' own image; only a Pupil can render it.
@@ -83,17 +100,16 @@ def render_sources(aberrations: Aberrations | Pupil, xy_px: np.ndarray, flux_e: 
     """
     width, height = image_size_px
     xy_px = np.asarray(xy_px, float).reshape(-1, 2)
-    field, outward = _field(aberrations, xy_px)
     nearest = np.rint(xy_px).astype(int)
     window = np.arange(-_HALF_WINDOW_PX, _HALF_WINDOW_PX + 1)
     columns, rows = nearest[:, 0, None, None] + window, nearest[:, 1, None, None] + window[:, None]
     dx, dy = columns - xy_px[:, 0, None, None], rows - xy_px[:, 1, None, None]
     if isinstance(aberrations, Pupil):
-        stamps = pupil_stamps(aberrations, field, outward, dx[:, 0], dy[:, :, 0], pinhole_px=pinhole_px)
+        stamps = pupil_stamps(aberrations, *_field(aberrations, xy_px), dx[:, 0], dy[:, :, 0], pinhole_px=pinhole_px)
     elif pinhole_px:
         raise BadInput("Aberrations render points only", mend="give the camera a Pupil")
     else:
-        stamps = _flare_stamps(aberrations, field, outward, dx, dy)
+        stamps = _flare_stamps(flare(aberrations, xy_px), dx, dy)
     stamps *= np.asarray(flux_e, float)[:, None, None]
 
     columns, rows = (np.broadcast_to(a, stamps.shape) for a in (columns, rows))
@@ -102,22 +118,17 @@ def render_sources(aberrations: Aberrations | Pupil, xy_px: np.ndarray, flux_e: 
     return flat.astype(float).reshape(height, width)  # of no source at all bincount makes integers
 
 
-def _flare_stamps(aberrations: Aberrations, field: np.ndarray, outward: np.ndarray, dx: np.ndarray,
-                  dy: np.ndarray) -> np.ndarray:
-    """Share of the light (N, R, C) in each pixel at dx (N, 1, C), dy (N, R, 1) from the chief ray.
+def _flare_stamps(parts: Flare, dx: np.ndarray, dy: np.ndarray) -> np.ndarray:
+    """Share of the light (N, R, C) in each pixel at dx (N, 1, C), dy (N, R, 1) from the centre of mass.
 
     Each pixel integrates the PSF over its square by 4 x 4 Gauss-Legendre nodes (error below 2e-5 of the peak for sigma 0.5 px).
     """
-    cos, sin = (a[:, None, None] for a in outward.T)
-    radial_var = aberrations.core_sigma_px**2 + (aberrations.radial_blur_px * field**2) ** 2
-    tangential_var = aberrations.core_sigma_px**2 + (aberrations.tangential_blur_px * field**2) ** 2
-    flare_px = aberrations.coma_px * field / _MEAN_OFFSET
+    cos, sin = (a[:, None, None] for a in parts.outward.T)
     nodes, node_weights = np.polynomial.legendre.leggauss(4)
     stamps = np.zeros(np.broadcast_shapes(dx.shape, dy.shape))
-    for weight, offset, extra in _FLARE:
-        vr, vt = ((v + (extra * flare_px) ** 2)[:, None, None] for v in (radial_var, tangential_var))
+    for weight, *figures in zip(parts.weight, parts.offset_px, parts.radial_px2, parts.tangential_px2, strict=True):
+        shift, vr, vt = (a[:, None, None] for a in figures)
         peak = weight / (2 * np.pi * np.sqrt(vr * vt))
-        shift = (offset * flare_px)[:, None, None]
         for node_x, weight_x in zip(nodes / 2, node_weights / 2, strict=True):
             for node_y, weight_y in zip(nodes / 2, node_weights / 2, strict=True):
                 r = (dx + node_x) * cos + (dy + node_y) * sin - shift

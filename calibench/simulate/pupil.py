@@ -4,8 +4,8 @@ The transfer function of the pupil (its autocorrelation) is multiplied by those 
 diffusion and of a pinhole's disc; the image at a pixel is its Fourier sum. Being band limited it needs no interpolation, and it
 has no function in common with those that a PSF map is fitted with.
 
-Centre convention as in `psf`: a source's true position is its chief ray. The wavefront has no slope in the pupil's middle, so
-that coma throws the light outward of the chief ray by 2 lambda N times the mean slope, which is exact for a uniform pupil.
+Centre convention as in `psf`: a source's position is the centre of mass of its light. The wavefront has no slope in the pupil's
+middle, so that coma throws the light outward of the chief ray by 2 lambda N times the mean slope, exact for a uniform pupil.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ class Pupil:
 
     lambda_n_px: wavelength times f-number in pixels, the unit of diffraction. defocus_waves: everywhere; curvature_waves:
     defocus at the corner, with the square of the field; astigmatism_waves: so too, along the radius; coma_waves: at the
-    corner, linear in the field, outward where positive. diffusion_sigma_px: of charge in the sensor. centre_px: optical axis.
+    corner, linear in the field, outward where positive. spherical_waves and trefoil_waves (one of its rays along +x, as of a
+    strained element): everywhere. diffusion_sigma_px: of charge in the sensor. centre_px: optical axis.
     """
 
     lambda_n_px: float
@@ -35,25 +36,28 @@ class Pupil:
     curvature_waves: float = 0.0
     astigmatism_waves: float = 0.0
     coma_waves: float = 0.0
+    spherical_waves: float = 0.0
+    trefoil_waves: float = 0.0
     diffusion_sigma_px: float = 0.0
 
 
-def centroid_shift_px(pupil: Pupil, field: np.ndarray) -> np.ndarray:
+def coma_shift_px(pupil: Pupil, field: np.ndarray | float) -> np.ndarray | float:
     """How far (N,) outward of the chief ray the light's centre of mass lies, at field radii (N,)."""
-    return 2 * pupil.lambda_n_px * 3 * np.sqrt(8) * pupil.coma_waves * np.asarray(field, float)
+    return 2 * pupil.lambda_n_px * 3 * np.sqrt(8) * pupil.coma_waves * field
 
 
 def stamps(pupil: Pupil, field: np.ndarray, outward: np.ndarray, dx: np.ndarray, dy: np.ndarray, *,
            pinhole_px: float = 0.0) -> np.ndarray:
     """Share of the light (N, R, C) in each pixel, for sources at field radii (N,) in outward directions (N, 2).
 
-    dx (N, C), dy (N, R): pixel centres less the chief ray. pinhole_px: diameter of the source's own image.
+    dx (N, C), dy (N, R): pixel centres less the centre of mass. pinhole_px: diameter of the source's own image.
     """
     out = np.empty((len(field), dy.shape[1], dx.shape[1]))
     for i, (radius, direction) in enumerate(zip(field, outward, strict=True)):
         frequency, transfer = _transfer(pupil, radius, direction, pinhole_px)
-        along_x = np.exp(-2j * np.pi * frequency * dx[i][:, None])
-        along_y = np.exp(-2j * np.pi * frequency * dy[i][:, None])
+        from_ray = coma_shift_px(pupil, radius) * direction
+        along_x = np.exp(-2j * np.pi * frequency * (dx[i] + from_ray[0])[:, None])
+        along_y = np.exp(-2j * np.pi * frequency * (dy[i] + from_ray[1])[:, None])
         out[i] = (along_y @ transfer @ along_x.T).real / PERIOD_PX**2
     return out
 
@@ -68,7 +72,9 @@ def _transfer(pupil: Pupil, field: float, outward: np.ndarray, pinhole_px: float
     radial = x * outward[0] + y * outward[1]
     waves = ((pupil.defocus_waves + pupil.curvature_waves * field**2) * np.sqrt(3) * (2 * rho2 - 1)
              + pupil.astigmatism_waves * field**2 * np.sqrt(6) * (2 * radial**2 - rho2)
-             + pupil.coma_waves * field * np.sqrt(8) * 3 * rho2 * radial)
+             + pupil.coma_waves * field * np.sqrt(8) * 3 * rho2 * radial
+             + pupil.spherical_waves * np.sqrt(5) * (6 * rho2 * (rho2 - 1) + 1)
+             + pupil.trefoil_waves * np.sqrt(8) * x * (x**2 - 3 * y**2))
     size = 2 * next_fast_len(2 * half + 1)  # twice the pupil: the autocorrelation does not wrap around
     inside = rho2 <= 1
     amplitude = np.zeros(rho2.shape, complex)

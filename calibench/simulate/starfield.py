@@ -11,7 +11,7 @@ from ..geometry.sphere import aberrate, unit_from_radec
 from ..records import Observer, StarTable
 from .camera import SimulatedCamera
 from .photometry import sky_electrons_per_s, star_electrons_per_s
-from .psf import centroid_px, render_sources
+from .psf import chief_ray_px, render_sources
 
 _RAD_PER_MAS = np.pi / (180 * 3600e3)
 
@@ -30,14 +30,14 @@ class SkyConditions:
 class StarField:
     """light_e (H, W): expected electrons. star_rows (N,): rows of the StarTable on the image, brightest first.
 
-    xy_px (N, 2) chief rays, centroid_px (N, 2) flux-weighted centroids of their PSFs, flux_e (N,). false_xy_px (M, 2):
-    chief rays of the false stars; cosmic_xy_px (K, 2): where the tracks start.
+    xy_px (N, 2) centres of mass, chief_ray_px (N, 2), flux_e (N,). false_xy_px (M, 2): of the false stars;
+    cosmic_xy_px (K, 2): where the tracks start.
     """
 
     light_e: np.ndarray
     star_rows: np.ndarray
     xy_px: np.ndarray
-    centroid_px: np.ndarray
+    chief_ray_px: np.ndarray
     flux_e: np.ndarray
     false_xy_px: np.ndarray
     cosmic_xy_px: np.ndarray
@@ -82,12 +82,12 @@ def star_field(camera: SimulatedCamera, stars: StarTable, r_cam_icrs: np.ndarray
     cosmic_xy_px = _random_places(rng, conditions.cosmic_hits, (width, height))
     for xy in cosmic_xy_px:
         _add_track(light_e, xy, rng)
-    return StarField(light_e=light_e, star_rows=rows, xy_px=xy_px, centroid_px=centroid_px(camera.aberrations, xy_px),
+    return StarField(light_e=light_e, star_rows=rows, xy_px=xy_px, chief_ray_px=chief_ray_px(camera.aberrations, xy_px),
                      flux_e=flux_e, false_xy_px=false_xy_px, cosmic_xy_px=cosmic_xy_px)
 
 
 def _on_image(xy_px: np.ndarray, image_size_px: tuple[int, int]) -> np.ndarray:
-    """Which chief rays fall on a pixel; NaN does not."""
+    """Which places fall on a pixel; NaN does not."""
     return ((xy_px > -0.5) & (xy_px < np.array(image_size_px) - 0.5)).all(axis=1)
 
 

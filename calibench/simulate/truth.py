@@ -36,7 +36,7 @@ def camera_truth(camera: SimulatedCamera) -> dict:
         | {"temporal_dark_noise_e": sensor.temporal_dark_noise_e, "white_level_dn": sensor.white_level_dn},
         "lens": dataclasses.asdict(camera.lens),
         "psf": {k: list(v) if isinstance(v, tuple) else v for k, v in dataclasses.asdict(camera.aberrations).items()}
-        | {"centre": "chief ray; the flux-weighted centroid lies coma_px * field outside it"},
+        | {"centre": "centre of mass of the light; the chief ray lies coma_px * field inside it"},
         "defects": {name: [[int(x), int(y), round(float(level[name][y, x]), 3)] for x, y in xy]
                     for name, xy in pattern.defect_xy_px.items()},
     }
@@ -60,8 +60,8 @@ def ladder_truth(photons: float) -> dict:
 
 
 def spots_truth(image: PinholeImage) -> dict:
-    """Spots as rows of [x, y, centroid x, centroid y, flux_e]; x, y: chief ray."""
-    rows = np.column_stack([image.xy_px, image.centroid_px, image.flux_e])
+    """Spots as rows of [chief ray x, y, centroid x, y, flux_e]."""
+    rows = np.column_stack([image.chief_ray_px, image.xy_px, image.flux_e])
     return {"scene": "spots", "spots": _rounded(rows)}
 
 
@@ -71,14 +71,14 @@ def sky_truth(camera: SimulatedCamera, stars: StarTable, field: StarField, r_cam
 
     q_cam_icrs: scalar last, of the camera axes, by apparent directions. ra_deg, dec_deg, roll_deg: of the image's
     centre ((W-1)/2, (H-1)/2) through the lens model, aberration removed; roll is the position angle of image up there.
-    stars: rows of [x, y, centroid x, centroid y, flux_e] for the Hipparcos numbers in `hip`, brightest first.
+    stars: rows of [chief ray x, y, centroid x, y, flux_e] for the Hipparcos numbers in `hip`, brightest first.
     """
     width, height = camera.image_size_px
     centre = np.array([(width - 1) / 2, (height - 1) / 2])
     seen = unproject(camera.intrinsics, np.array([centre, centre - [0.0, 1.0]])) @ r_cam_icrs
     middle, above = remove_aberration(seen, observer.velocity_c)
     ra, dec = radec_from_unit(middle)
-    rows = np.column_stack([field.xy_px, field.centroid_px, field.flux_e])
+    rows = np.column_stack([field.chief_ray_px, field.xy_px, field.flux_e])
     return {"scene": "sky", "q_cam_icrs": quaternion_from_matrix(r_cam_icrs).tolist(),
             "ra_deg": float(np.degrees(ra)), "dec_deg": float(np.degrees(dec)),
             "roll_deg": float(np.degrees(position_angle(middle, above))),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calibench.measure._psf.epsf import Windows, fit_shape
-from calibench.simulate.pupil import Pupil, centroid_shift_px, stamps
+from calibench.simulate.pupil import Pupil, stamps
 from calibench.spots import hermite
 from calibench.spots.centroid import psf_map
 from calibench.spots.centroid.kernels import fit_shapes
@@ -40,7 +40,7 @@ def spots(lens, radius, rng):
     field, outward = outward_of(lens, xy)
     light = 4e4 * stamps(lens, field, outward, corner[:, :1] + side - xy[:, :1], corner[:, 1:] + side - xy[:, 1:])
     data = rng.poisson(light + 20) - 20 + rng.normal(0, 10, light.shape)
-    start = xy + centroid_shift_px(lens, field)[:, None] * outward + rng.normal(0, 0.03, xy.shape)
+    start = xy + rng.normal(0, 0.03, xy.shape)
     return Windows(data_dn=data, floor_dn2=np.full(data.shape, 120.0), good=np.ones(data.shape, bool), corner_xy=corner,
                    xy_px=start, flux_dn=data.sum((1, 2)), background_dn=np.zeros(490))
 
@@ -52,8 +52,7 @@ def core_rms(lens, shape):
     field, outward = outward_of(lens, xy)
     fine, out = np.arange(-10, 11) / 5, []
     for i, place in enumerate(hermite.coefficients_at(shape, xy, SIZE)):
-        mass = centroid_shift_px(lens, field[i:i + 1])[0] * outward[i]
-        truth = stamps(lens, field[i:i + 1], outward[i:i + 1], fine[None] + mass[0], fine[None] + mass[1])[0]
+        truth = stamps(lens, field[i:i + 1], outward[i:i + 1], fine[None], fine[None])[0]
         shift = np.zeros(2)
         for _ in range(3):
             def image(dx, dy, shift=shift, place=place):
@@ -70,24 +69,22 @@ def biases_mpx(lens, shape, rng, flux_e, noisy):
     """(position by place, error less its place's mean, normalised error squared, us a spot) of 40 places x 8 phases."""
     xy, phase = rng.uniform(20, np.array(SIZE) - 20, (40, 2)), rng.uniform(-0.5, 0.5, (40, 8, 2))
     field, outward = outward_of(lens, xy)
-    half = psf_map.window_radius(shape) + 2
+    half = psf_map.window_radius(shape) + 1
     offset = np.arange(-half, half + 1)
     light = np.concatenate([stamps(lens, np.full(8, field[i]), np.tile(outward[i], (8, 1)), offset - phase[i, :, :1],
                                    offset - phase[i, :, 1:]) for i in range(40)])
     repeat = 20 if noisy else 1
     light = flux_e * np.tile(light, (repeat, 1, 1))
     data = rng.poisson(light + 20) - 20 + rng.normal(0, 10, light.shape) if noisy else light
-    side, which = 2 * half + 1, np.tile(np.repeat(np.arange(40), 8), repeat)
-    true = np.tile(phase.reshape(-1, 2), (repeat, 1)) + (centroid_shift_px(lens, field)[:, None] * outward)[which]
-    middle = np.column_stack([np.full(len(data), half), half + side * np.arange(len(data))]).astype(float)
+    which = np.tile(np.repeat(np.arange(40), 8), repeat)
+    true = np.tile(phase.reshape(-1, 2), (repeat, 1))
     core, wings = psf_map.matrices(shape, hermite.coefficients_at(shape, xy[which], SIZE))
-    image = data.reshape(-1, side).astype(np.float32)
+    image = data.astype(np.float32)
     clock = time.process_time()
-    found = fit_shapes(image, np.full(image.shape, 120, np.float32), np.zeros(image.shape, bool), middle + true, core, wings,
-                       shape.scale_px, hermite.WING_FACTOR * shape.scale_px, 1.0, shape.core_residual,
-                       psf_map.window_radius(shape))
+    found = fit_shapes(image, np.full(image.shape, 120, np.float32), half + true, core, wings, shape.scale_px,
+                       hermite.WING_FACTOR * shape.scale_px, 1.0, np.full(len(image), shape.core_residual), half - 1)
     clock = time.process_time() - clock
-    error = found[:, :2] - middle - true
+    error = found[:, :2] - half - true
     mean = np.array([np.nanmean(error[which == i], 0) for i in range(40)])
     rest = error - mean[which]
     covariance = found[:, [4, 6, 6, 5]].reshape(-1, 2, 2)

@@ -10,7 +10,7 @@ import pytest
 from calibench.measure import psf
 from calibench.measure._psf.figures import strehl
 from calibench.records import CENTRE_OF_MASS, Frame
-from calibench.simulate.psf import centroid_px, render_sources
+from calibench.simulate.psf import render_sources
 from calibench.simulate.pupil import Pupil
 from calibench.spots.psf import light
 
@@ -41,11 +41,9 @@ def truth(xy, fine):
     """The lens's image at offsets `fine` from its centre of mass, pixel integrated, one sample a rendered frame."""
     out = np.empty((len(fine), len(fine)))
     middle = np.array([20.0, 20.0])
-    moved = dataclasses.replace(LENS, centre_px=tuple(LENS.centre_px - np.asarray(xy) + middle))
-    shift = centroid_px(moved, middle[None])[0] - middle
     for j, dy in enumerate(fine):
         for i, dx in enumerate(fine):
-            at = middle - shift - [dx, dy]
+            at = middle - [dx, dy]
             moved = dataclasses.replace(LENS, centre_px=tuple(np.array(LENS.centre_px) - np.asarray(xy) + at))
             out[j, i] = render_sources(moved, at[None], np.ones(1), (41, 41))[20, 20]
     return out
