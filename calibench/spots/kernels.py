@@ -34,8 +34,11 @@ def lose_others(xy, corner_xy, signal):
     side = signal.shape[1]
     for n in range(len(xy)):
         for m in range(len(xy)):
-            dx, dy = xy[m, 0] - xy[n, 0], xy[m, 1] - xy[n, 1]
-            if m == n or max(abs(dx), abs(dy)) > 2 * side:
+            dx = xy[m, 0] - xy[n, 0]
+            if abs(dx) > 2 * side or m == n:
+                continue
+            dy = xy[m, 1] - xy[n, 1]
+            if abs(dy) > 2 * side:
                 continue
             for j in range(side):
                 for i in range(side):
@@ -55,6 +58,8 @@ def above_sky(signal, defects, corner_xy, background, noise, drifted, cell, loud
     h, w = background.shape
     side = signal.shape[1]
     for n in range(len(signal)):
+        middle_x, middle_y = min(max(corner_xy[n, 0] + side // 2, 0), w - 1), min(max(corner_xy[n, 1] + side // 2, 0), h - 1)
+        risen, grown = np.float32(drifted[middle_y // cell, middle_x // cell]), np.float32(louder)
         for j in range(side):
             for i in range(side):
                 x, y = corner_xy[n, 0] + i, corner_xy[n, 1] + j
@@ -62,8 +67,8 @@ def above_sky(signal, defects, corner_xy, background, noise, drifted, cell, loud
                 if x < 0 or y < 0 or x >= w or y >= h:
                     continue
                 sigma = noise[y, x]
-                signal[n, j, i] -= background[y, x] + drifted[y // cell, x // cell] * sigma
-                floor[n, j, i] = (sigma * louder) ** 2
+                signal[n, j, i] -= background[y, x] + risen * sigma
+                floor[n, j, i] = (sigma * grown) ** 2
                 if defects[n, j, i] & UNUSABLE_PIXEL:
                     signal[n, j, i] = np.nan
 

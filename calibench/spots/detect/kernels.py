@@ -21,6 +21,7 @@ CONTRAST_SIGMA, CONTRAST = 5.0, 0.1  # a second peak stands out of the saddle by
 TRAIL_CONTRAST = 0.5  # in light as long as a trail's noise makes peaks: this part of itself then
 LEAST_TO_JUDGE = 6  # fewer pixels tell no elongation
 COLUMNS = 11  # of what grow gives
+ROW_SHIFT, COLUMN_MASK = 32, (1 << 32) - 1  # a pixel on a stack: row and column in one number that is quick to part
 
 
 @compiled
@@ -70,27 +71,36 @@ def _promising(data, lowest, sigma, y, x, least):
     """Whether the pixels about (x, y) may score above `least`: by thresholds that are at hand and not above the pixels' own.
 
     Generous by one sigma (drift, rounding, a neighbour that is not used); neighbours count as no less than expected."""
-    total = WEIGHT_NORM * sigma + WEIGHT_SUM
+    wanted = (least - 1) * WEIGHT_NORM * sigma - WEIGHT_SUM
+    total = float(data[y, x]) - float(lowest[y // ROWS_TOGETHER, x]) + SEED_SIGMA * sigma
+    if total > wanted:  # most pixels of a star
+        return True
+    total = 0.0
     for j in range(3):
         line = (y + j - 1) // ROWS_TOGETHER
         for i in range(3):
             excess = float(data[y + j - 1, x + i - 1]) - float(lowest[line, x + i - 1]) + SEED_SIGMA * sigma
             total += (1.0 if j == 1 else SIDE) * (1.0 if i == 1 else SIDE) * max(excess, 0.0)
-    return total > least * WEIGHT_NORM * sigma
+    return total > wanted
+
+
+@compiled
+def _excess(data, seed, y, x):
+    return float(data[y, x]) - float(seed[y, x])
 
 
 @compiled
 def _highest(data, seed, y, x):
     """Whether (x, y) is above its threshold, and farthest of its 3x3; of equal ones the first."""
-    own = float(data[y, x]) - float(seed[y, x])
+    own = _excess(data, seed, y, x)
     if own <= 0:
         return False
-    for j in range(3):
-        for i in range(3):
-            excess = float(data[y + j - 1, x + i - 1]) - float(seed[y + j - 1, x + i - 1])
-            if excess > own or (excess == own and 3 * j + i < 4):
-                return False
-    return True
+    # The four sides first: one of them is brighter, nearly always.
+    if (_excess(data, seed, y, x - 1) >= own or _excess(data, seed, y, x + 1) > own
+            or _excess(data, seed, y - 1, x) >= own or _excess(data, seed, y + 1, x) > own):
+        return False
+    return not (_excess(data, seed, y - 1, x - 1) >= own or _excess(data, seed, y - 1, x + 1) >= own
+                or _excess(data, seed, y + 1, x - 1) > own or _excess(data, seed, y + 1, x + 1) > own)
 
 
 @compiled
@@ -152,23 +162,26 @@ def _flood(data, expected, noise, level, labels, lowest, owner, label, y, x, sta
     """Labels the pixels connected to (x, y); their number; beyond `largest` the rest is left, and what
     touches such light (owner -1) belongs to it."""
     h, w = data.shape
-    stack[0] = y * w + x
+    stack[0] = (y << ROW_SHIFT) | x
     labels[y, x] = label
     count, done = 1, 0
     while done < count and count <= largest:
-        j0, i0 = stack[done] // w, stack[done] % w
+        j0, i0 = stack[done] >> ROW_SHIFT, stack[done] & COLUMN_MASK
         done += 1
         for j in range(max(j0 - 1, 0), min(j0 + 2, h)):
             for i in range(max(i0 - 1, 0), min(i0 + 2, w)):
-                e = expected[j, i]
                 there = labels[j, i]
-                if there >= lowest and there != label and owner[there - lowest] < 0:
-                    return largest + 1
-                if there < lowest and e == e:
-                    if data[j, i] - e > (GROW_SIGMA + level[j // CELL_PX, i // CELL_PX]) * noise[j, i]:
-                        labels[j, i] = label
-                        stack[count] = j * w + i
-                        count += 1
+                if there == label:
+                    continue
+                if there >= lowest:
+                    if owner[there - lowest] < 0:
+                        return largest + 1
+                    continue
+                # An expectation of NaN, a pixel that is not used, compares as false.
+                if data[j, i] - expected[j, i] > (GROW_SIGMA + level[j // CELL_PX, i // CELL_PX]) * noise[j, i]:
+                    labels[j, i] = label
+                    stack[count] = (j << ROW_SHIFT) | i
+                    count += 1
     return count
 
 
@@ -180,7 +193,7 @@ def _near(labels, y, x, stack):
     for j in range(max(y - 1, 0), min(y + 2, h)):
         for i in range(max(x - 1, 0), min(x + 2, w)):
             if labels[j, i] == labels[y, x]:
-                stack[count] = j * w + i
+                stack[count] = (j << ROW_SHIFT) | i
                 count += 1
     return count
 
@@ -188,14 +201,13 @@ def _near(labels, y, x, stack):
 @compiled
 def _shape(data, expected, noise, level, stack, count, y, x, row):
     """Fills x, y, peak, flux, pixels, elongation of one spot from its pixels; the place is the mass of its brighter half."""
-    w = data.shape[1]
     peak = 0.0
     for k in range(count):
-        j, i = stack[k] // w, stack[k] % w
+        j, i = stack[k] >> ROW_SHIFT, stack[k] & COLUMN_MASK
         peak = max(peak, data[j, i] - expected[j, i] - level[j // CELL_PX, i // CELL_PX] * noise[j, i])
     flux = mx = my = core = cx = cy = sxx = syy = sxy = 0.0
     for k in range(count):
-        j, i = stack[k] // w, stack[k] % w
+        j, i = stack[k] >> ROW_SHIFT, stack[k] & COLUMN_MASK
         r = max(data[j, i] - expected[j, i] - level[j // CELL_PX, i // CELL_PX] * noise[j, i], 1e-6)
         dx, dy = float(i - x), float(j - y)
         flux, mx, my = flux + r, mx + r * dx, my + r * dy

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..scene import Centroids
@@ -12,8 +14,8 @@ SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX = 2, 8
 
 def window_radius(moments_px2: np.ndarray) -> int:
     """Half width of the window for spots of these moments (N, 3): 5x5 for 0.4 px, 7x7 for 0.7 and 1.0, 9x9 for 1.5."""
-    width = np.sqrt(np.median(np.max(moments_px2[:, :2], axis=1))) if len(moments_px2) else 1.0
-    return int(np.clip(np.ceil(2.3 * width + 0.5), SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX))
+    width = math.sqrt(moments_px2[:, :2].max(1).sum() / len(moments_px2)) if len(moments_px2) else 1.0
+    return min(max(math.ceil(2.3 * width + 0.5), SMALLEST_RADIUS_PX), LARGEST_RADIUS_PX)
 
 
 def fit_windows(signal_dn: np.ndarray, floor_variance_dn2: np.ndarray, corner_xy: np.ndarray, start_xy_px: np.ndarray,
