@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import weakref
 from collections import deque
 from pathlib import Path
@@ -14,6 +15,8 @@ from .readers._reading import MAX_PIXELS
 MAX_FILE_BYTES = 8 * MAX_PIXELS
 MOST_SPARE = 4
 _spare: deque[np.ndarray] = deque(maxlen=MOST_SPARE)
+_reading = False
+_trim = getattr(ctypes.pythonapi, "malloc_trim", None)  # glibc keeps free memory that lies between arrays in use
 
 
 def file_bytes(path: Path) -> memoryview:
@@ -40,11 +43,17 @@ def file_bytes(path: Path) -> memoryview:
 
 
 def free_spare() -> None:
-    """Give the spare memory back: no more files for now."""
+    """Give free memory back to the system: no more files for now. What is still in use will not be kept either."""
+    global _reading
+    _reading = False
     _spare.clear()
+    if _trim is not None:
+        _trim(0)
 
 
 def _memory(size: int) -> memoryview:
+    global _reading
+    _reading = True
     try:
         memory = _spare.pop()
     except IndexError:
@@ -52,5 +61,10 @@ def _memory(size: int) -> memoryview:
     if memory is None or not size <= len(memory) <= 2 * size:
         memory = np.empty(size, np.uint8)
     lent = np.frombuffer(memoryview(memory)[:size], np.uint8)  # an array of its own: it dies with the last view of it
-    weakref.finalize(lent, _spare.append, memory).atexit = False
+    weakref.finalize(lent, _keep, memory).atexit = False
     return memoryview(lent)
+
+
+def _keep(memory: np.ndarray) -> None:
+    if _reading:
+        _spare.append(memory)

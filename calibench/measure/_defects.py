@@ -127,6 +127,9 @@ def defective_lines(defective: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     out = []
     for axis in (1, 0):
         length = min(LINE_PX, defective.shape[axis])
+        if np.count_nonzero(defective, axis=axis).max() < LINE_SHARE * length - 0.5:  # no line has enough of them
+            out.append(np.zeros_like(defective))
+            continue
         dense = uniform_filter1d(defective.astype(np.float32), length, axis=axis, mode="constant") >= LINE_SHARE - 1e-3
         area = uniform_filter1d(dense.astype(np.float32), 9, axis=1 - axis, mode="nearest") > 0.5
         out.append(maximum_filter1d(dense & ~area, length, axis=axis, mode="constant", origin=-1 if length % 2 == 0 else 0))

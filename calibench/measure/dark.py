@@ -10,7 +10,7 @@ Without exposure times, offset and defects are made all the same, by level, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,16 +107,14 @@ def _fetcher(frames: Iterable[Frame], ledger: Ledger, refused: list[str]) -> Fet
     """How to look at pixels of a level again; says in `refused` where that is impossible."""
     rejected = {name for name, _ in ledger.rejected}
 
-    def fetch(level: DarkLevel, xy_px: np.ndarray) -> telegraph.TimeSeries | None:
-        if not len(xy_px):
-            return None
-        sorter = DarkLevels()
+    def fetch(levels: Sequence[DarkLevel], xy_px: Sequence[np.ndarray]) -> list[telegraph.TimeSeries] | None:
+        sorter, number = DarkLevels(), {(level.exposure_s, level.group): i for i, level in enumerate(levels)}
 
-        def belongs(frame: Frame) -> bool:
-            return (frame.file or frame.name) not in rejected and sorter.key(frame) == (level.exposure_s, level.group)
+        def level_of(frame: Frame) -> int | None:
+            return None if (frame.file or frame.name) in rejected else number.get(sorter.key(frame))
 
-        series = None if iter(frames) is frames else telegraph.fetch(frames, belongs, level.levels_dn, xy_px)
-        if series is None and NOT_AGAIN not in refused:
+        series = None if iter(frames) is frames else telegraph.fetch(frames, level_of, [v.levels_dn for v in levels], xy_px)
+        if series is None:
             refused.append(NOT_AGAIN)
         return series
     return fetch

@@ -25,6 +25,14 @@ def test_memory_serves_again_only_when_nothing_refers_to_it(tmp_path):
     assert np.all(other == 1) and np.all(again == 2) and not again.flags.writeable
 
 
+def test_after_the_last_file_nothing_is_kept(tmp_path):
+    (tmp_path / "a").write_bytes(b"x" * 5000)
+    held = file_bytes(tmp_path / "a")
+    free_spare()
+    del held
+    assert not len(module._spare)
+
+
 def test_a_file_gives_its_own_bytes_from_larger_memory(tmp_path):
     free_spare()
     (tmp_path / "long").write_bytes(b"x" * 1000)

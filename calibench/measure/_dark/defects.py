@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,7 +25,7 @@ FOUND_SHARE = 0.99  # the detection limit is the excess that is found with this 
 NULL_SAMPLE = 1_000_000  # pixels from which a null is learned
 EXAMPLES = 6
 
-Fetch = Callable[[DarkLevel, np.ndarray], "telegraph.TimeSeries | None"]
+Fetch = Callable[[Sequence[DarkLevel], Sequence[np.ndarray]], "list[telegraph.TimeSeries] | None"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,8 +57,8 @@ def find_defects(ladder: Ladder, quiet: DarkLevel | None, rules: Rules, fetch: F
     """Masks by class with their evidence.
 
     Args:
-        quiet: the shortest exposure with two frames or more. fetch: time series of pixels (P, 2) at a level, by a second pass
-            over the frames; None where the frames cannot be read again.
+        quiet: the shortest exposure with two frames or more. fetch: for each level the time series of its pixels
+            (P, 2), by one second pass over the frames; None where the frames cannot be read again.
     """
     known = ladder.rate_dn_per_s is not None
     value, variance = (ladder.rate_dn_per_s, ladder.rate_variance) if known else (ladder.offset_dn, ladder.offset_variance_dn2)
@@ -160,13 +160,14 @@ def _unsteady(ladder: Ladder, significant: np.ndarray, local: tuple[np.ndarray, 
     levels = list(zip(ladder.levels, ladder.variance_dn2, strict=True))
     watched = {id(level): (level, variance) for level, variance in (
         max(reversed(levels), key=lambda v: v[0].count), levels[-1])}
+    looks = []
     for level, variance in watched.values():
-        if level.freedom < 2:
-            continue
-        typical = defect.typical_noise(variance, level.freedom)
-        series = fetch(level, telegraph.candidates(variance, level.freedom, typical, significant))
-        if series is None or not len(series.xy_px):
-            continue
+        if level.freedom >= 2:
+            typical = defect.typical_noise(variance, level.freedom)
+            xy_px = telegraph.candidates(variance, level.freedom, typical, significant)
+            looks += [(level, typical, xy_px)] if len(xy_px) else []
+    found = fetch([level for level, *_ in looks], [xy_px for *_, xy_px in looks]) if looks else None
+    for (level, typical, _), series in zip(looks, found, strict=True) if found else ():
         x, y = series.xy_px.T
         at = local[0][y, x] + (local[1][y, x] * level.exposure_s if ladder.rate_dn_per_s is not None else 0)
         longest = level is ladder.levels[-1]

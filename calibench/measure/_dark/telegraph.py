@@ -7,7 +7,7 @@ the groups lie further apart, in units of their own scatter, than any split of o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,22 +44,26 @@ def candidates(variance_dn2: np.ndarray, freedom: int, typical_dn2: float, also:
     return np.stack([columns[order], rows[order]], -1)
 
 
-def fetch(frames: Iterable[Frame], belongs: Callable[[Frame], bool], levels_dn: np.ndarray, xy_px: np.ndarray,
-          ) -> TimeSeries | None:
-    """The second pass; None where it does not give the same frames. belongs: is this one of the level's frames; levels_dn:
-    (N,) mean of each of them, in order."""
-    values = np.empty((len(levels_dn), len(xy_px)), np.float32)
-    taken = 0
+def fetch(frames: Iterable[Frame], level_of: Callable[[Frame], int | None], levels_dn: Sequence[np.ndarray],
+          xy_px: Sequence[np.ndarray]) -> list[TimeSeries] | None:
+    """Time series at several levels by one second pass; None where it does not give the same frames. level_of: number of the
+    level that a frame is of (None: of no such level); levels_dn: for each level the (N,) means of its frames, in order."""
+    values = [np.empty((len(means), len(xy)), np.float32) for means, xy in zip(levels_dn, xy_px, strict=True)]
+    taken = [0] * len(values)
     for frame in frames:
-        if belongs(frame):
-            if taken == len(values):
-                return None
-            values[taken] = frame.data[xy_px[:, 1], xy_px[:, 0]]
-            taken += 1
-    if taken < len(values):
+        i = level_of(frame)
+        if i is None:
+            continue
+        if taken[i] == len(values[i]):
+            return None
+        x, y = xy_px[i].T
+        values[i][taken[i]] = frame.data[y, x]
+        taken[i] += 1
+    if taken != [len(v) for v in values]:
         return None
-    values -= (levels_dn[:, None] - levels_dn.mean()).astype(np.float32)
-    return TimeSeries(xy_px=xy_px, values_dn=values)
+    for v, means in zip(values, levels_dn, strict=True):
+        v -= (means[:, None] - means.mean()).astype(np.float32)
+    return [TimeSeries(xy_px=xy, values_dn=v) for xy, v in zip(xy_px, values, strict=True)]
 
 
 def two_levels(values_dn: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
