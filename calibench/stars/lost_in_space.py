@@ -1,6 +1,6 @@
 """LostInSpace: which stars are on a frame, with no prior knowledge of where it looks.
 
-1. Believe something about the lens (the map's, or a ladder of fields), which gives a View.
+1. Believe something about the lens (the map's, or a ladder of fields and shapes), which gives a View.
 2. The named identifier proposes correspondences; verify.py weeds them and judges the rest against all stars in view.
 3. The first with a false-match probability below `accept` is the answer; else the best candidate and its odds are the reason.
 """
@@ -22,7 +22,7 @@ from .per_lens import per_lens
 from .refine import refine
 from .sky_catalogue import SkyCatalogue
 from .verify import ACCEPT, Match, Verifier
-from .view import GUESSED_MODEL_SD_PX, KnownLens, View, focal_from_fov, guessed_view
+from .view import EVEN, GUESSED_MODEL_SD_PX, STRAIGHT, KnownLens, View, guessed_lens, guessed_view, horizontal_fov
 
 DOUBTFUL = 1e-2  # below this, but not below the limit: a candidate was found and rejected
 FEWEST_SPOTS = 4
@@ -31,10 +31,11 @@ FOV_RANGE_RAD = (np.radians(5.0), np.radians(60.0))
 # Along a ladder of unknown fields, neighbours differ by what an ideal lens bends between centre and edge: tan^2 of the half
 # field changes by this much.
 LADDER_STEP = 0.012
+BENT_FROM_RAD = np.radians(25)  # narrower fields look alike whatever the lens does
 
 
-def fov_ladder(image_size_px: tuple[int, int]) -> list[tuple[float, float]]:
-    """(focal_px, scale_slack) covering FOV_RANGE_RAD (horizontal), narrow fields first.
+def fov_ladder() -> list[tuple[float, float]]:
+    """(fov_rad, scale_slack) covering FOV_RANGE_RAD (horizontal), narrow fields first.
 
     Below about 13 degrees every field looks alike to side ratios, so the first rung covers all of them.
     """
@@ -45,7 +46,7 @@ def fov_ladder(image_size_px: tuple[int, int]) -> list[tuple[float, float]]:
         upper = edge + LADDER_STEP
         middle = np.sqrt((edge + upper) / 2)
         slack = 1.1 * max(np.sqrt(upper) / middle, middle / np.sqrt(edge)) - 1
-        rungs.append((image_size_px[0] / 2 / middle, float(slack)))
+        rungs.append((2 * float(np.arctan(middle)), float(slack)))
         edge = upper
     return rungs
 
@@ -131,13 +132,14 @@ class LostInSpace:
             yield known.view(spots, drifted=True)
             yield mirrored.view(spots, drifted=True)  # the driver, or a wrong row order, may have mirrored the frame
             return
+        rungs = fov_ladder() if fov_rad is None else [(fov_rad, GIVEN_FOV_SLACK)]
         if familiar is not None:
-            yield guessed_view(spots, size, familiar.fx_px, GIVEN_FOV_SLACK)
-        if fov_rad is not None:
-            yield guessed_view(spots, size, focal_from_fov(fov_rad, size), GIVEN_FOV_SLACK)
-        else:
-            for focal_px, slack in fov_ladder(size):
-                yield guessed_view(spots, size, focal_px, slack)
+            bent = familiar.distortion[0] < EVEN[0] / 2
+            yield guessed_view(spots, guessed_lens(horizontal_fov(familiar), size, EVEN if bent else STRAIGHT), GIVEN_FOV_SLACK)
+        for shape, narrowest_rad in ((STRAIGHT, 0.0), (EVEN, BENT_FROM_RAD)):
+            for fov, slack in rungs:
+                if fov * (1 + slack) > narrowest_rad:
+                    yield guessed_view(spots, guessed_lens(fov, size, shape), slack)
 
     def _solved(self, match: Match, spots: Spots, *, calibrated: bool) -> Identification:
         xy, covariance = spots.xy_px[match.spot_rows], spots.covariance_px2[match.spot_rows]

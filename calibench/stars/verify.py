@@ -89,9 +89,11 @@ class Verifier:
                 return True
             self.grown += 1
             seen = view.directions * (-1.0 if mirrored[row] else 1.0, 1.0, 1.0)
-            probability, spot, star, lens = guess.grow(
-                self.sky.grid, view.field, self.spots.xy_px - middle, variance, seen, view.intrinsics.fx_px / scale[row],
-                matrices[row], mirrored[row], half, spot_rows.shape[1], self.tried)
+            k1, k2 = view.intrinsics.distortion[:2]
+            lens = np.array([view.intrinsics.fx_px / scale[row], k1 / scale[row]**2, k2 / scale[row]**4])
+            probability, spot, star = guess.grow(
+                self.sky.grid, view.field, self.spots.xy_px - middle, variance, seen, lens, matrices[row], mirrored[row], half,
+                spot_rows.shape[1], self.tried)
             if self._is_better(probability):
                 fitted_lens = Intrinsics(
                     model="brown4", fx_px=lens[0], fy_px=lens[0], cx_px=middle[0], cy_px=middle[1],

@@ -2,7 +2,7 @@
 
 A lens is one of
 - calibrated: the map's intrinsics; directions are good to their covariance;
-- guessed: an ideal lens of a focal length that may be off by `scale_slack`, with an unknown distortion.
+- guessed: a lens without distortion, or one that images angles evenly, of a focal length that may be off by `scale_slack`.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ from .kernels import TOLERANCE_SIGMA
 from .per_lens import lens_terms, per_lens
 
 GUESSED_RATIO_ERROR = 0.012  # an uncalibrated lens bends length ratios by this much (k1 of -0.1 over 20 degrees)
+# k1, k2 of what a lens may be like: no distortion, r = f tan t; or even angles, r = f t, by the series of the arc tangent, which
+# is what a wide lens does that nobody corrected.
+STRAIGHT, EVEN = (0.0, 0.0), (-1 / 3, 1 / 5)
 CALIBRATED_MISFIT = 3e-4  # of an angle: focus drift that a calibrated lens is allowed
 DRIFTED_SCALE_SLACK = 0.002  # a lens that has drifted: its focus moves with temperature by 0.2 %,
 DRIFTED_SD_PX = 0.3  # and its distortion by this
@@ -131,17 +134,20 @@ class KnownLens:
                     directions=v, sigma_rad=sigma, field=self._fields[slack])
 
 
-def guessed_view(spots: Spots, image_size_px: tuple[int, int], focal_px: float, scale_slack: float) -> View:
-    """Directions through an ideal lens of about this focal length."""
-    lens = Intrinsics.pinhole(focal_px=focal_px, image_size_px=image_size_px, focal_sd_px=focal_px * scale_slack)
-    sigma = np.sqrt(np.trace(spots.covariance_px2, axis1=1, axis2=2) / 2) / focal_px
+def guessed_view(spots: Spots, lens: Intrinsics, scale_slack: float) -> View:
+    """Directions through a lens that may be like this one, but for its focal length, to scale_slack, and some distortion."""
+    sigma = np.sqrt(np.trace(spots.covariance_px2, axis1=1, axis2=2) / 2) / lens.fx_px
     return View(intrinsics=lens, calibrated=False, scale_slack=scale_slack, ratio_error=GUESSED_RATIO_ERROR, xy_px=spots.xy_px,
                 directions=projection.unproject(lens, spots.xy_px), sigma_rad=sigma, field=field_of(lens, scale_slack))
 
 
-def focal_from_fov(fov_rad: float, image_size_px: tuple[int, int]) -> float:
-    """Focal length, px, of an ideal lens with this horizontal field (outer edges of the first and last column)."""
-    return image_size_px[0] / 2 / np.tan(fov_rad / 2)
+def guessed_lens(fov_rad: float, image_size_px: tuple[int, int], shape: tuple[float, float]) -> Intrinsics:
+    """A lens of this shape with this horizontal field (outer edges of the first and last column), centred on the image."""
+    w, h = image_size_px
+    edge, (k1, k2) = np.tan(fov_rad / 2), shape
+    focal = w / 2 / (edge * (1 + k1 * edge**2 + k2 * edge**4))
+    return Intrinsics(model="brown4", fx_px=focal, fy_px=focal, cx_px=(w - 1) / 2, cy_px=(h - 1) / 2,
+                      distortion=np.array([k1, k2, 0, 0]), image_size_px=image_size_px, covariance=np.full((8, 8), np.inf))
 
 
 @per_lens

@@ -99,6 +99,21 @@ def test_every_field_size_is_tried(fov_deg):
     assert done >= 2
 
 
+@pytest.mark.parametrize("terms", [(-0.45, 0.0), (-0.37, 0.31)])
+def test_strong_distortion_without_a_map(sky, terms):
+    """A field of 60 degrees whose corners are 10 to 20 % nearer to the centre, mirrored, with false and missing stars."""
+    focal = 376 / (np.tan(np.radians(30)) * (1 + terms[0] / 3 + terms[1] / 9))
+    lens = thesis_lens(fx_px=focal, fy_px=focal, distortion=[*terms, 0, 0], mirrored=True)
+    rng, finder, solved = np.random.default_rng(17), LostInSpace(sky=sky), 0
+    for _ in range(8):
+        truth, spots = look(sky, lens, rng, sigma=0.15, false=5, missing=0.3)
+        found = finder.identify(spots.take(np.arange(25)), SIZE, fov_rad=np.radians(56))
+        if found.status == "solved":
+            assert found.intrinsics.mirrored and boresight_error_deg(found, truth) < 0.2  # 2 px
+            solved += 1
+    assert solved >= 7
+
+
 def test_a_mirrored_image_is_found_and_said(sky):
     rng = np.random.default_rng(14)
     lens = thesis_lens(mirrored=True, distortion=[0, 0, 0, 0])

@@ -223,15 +223,15 @@ def pair_up(spots_xy, stars_xy, radius):
 
 
 @compiled
-def grow(grid, field, xy, variance, spots, focal, matrix, mirrored, half_size, corners, tried):
+def grow(grid, field, xy, variance, spots, lens, matrix, mirrored, half_size, corners, tried):
     """The match that grows from one hypothesis, lens fitted on the way, and its false-match probability.
 
     xy (N, 2) spots in px from the image's centre, variance (N,) px^2 of one axis (centroid and model), spots (N, 3) their
-    directions under the hypothesis; matrix (3, 3) is changed in place; half_size (2,): w/2, h/2.
-    Returns (probability, spot rows (M,), star rows (M,), lens (3,)).
+    directions under the hypothesis; lens (3,) = f, k1, k2 and matrix (3, 3) are changed in place; half_size (2,): w/2, h/2.
+    Returns (probability, spot rows (M,), star rows (M,)).
     """
     judged = min(VERIFY_SPOTS, len(xy))
-    lens, n = np.array([focal, 0.0, 0.0]), judged
+    n = judged
     half_px = np.sqrt(half_size[0] ** 2 + half_size[1] ** 2)
     radius = 4 * np.sqrt(np.median(variance[:judged])) + FIRST_RADIUS * half_px
     cos_radius = np.cos(min(1.1 * field.half_diagonal * (1 + field.slack), 1.4))
@@ -243,7 +243,7 @@ def grow(grid, field, xy, variance, spots, focal, matrix, mirrored, half_size, c
         star = pair_up(xy[:n], places, radius)
         spot = np.flatnonzero(star >= 0)
         if len(spot) < corners:
-            return 1.0, nothing, nothing, lens
+            return 1.0, nothing, nothing
         sky = np.empty((len(spot), 3))
         for m in range(len(spot)):
             sky[m] = grid.directions[rows[star[spot[m]]]]
@@ -257,7 +257,7 @@ def grow(grid, field, xy, variance, spots, focal, matrix, mirrored, half_size, c
         agreeing += kept[m] and spot[m] < judged and star[spot[m]] < stars
     others = judged - corners
     if agreeing <= corners:
-        return 1.0, spot[kept], rows[star[spot[kept]]], lens
+        return 1.0, spot[kept], rows[star[spot[kept]]]
     # Half of the frame's fit is hindsight: chance is counted in a circle no smaller than twice the last.
     counted = max(radius, min(before, 2 * radius))
     camera, where = np.empty((stars, 3)), np.empty((judged, 3))
@@ -268,4 +268,4 @@ def grow(grid, field, xy, variance, spots, focal, matrix, mirrored, half_size, c
     expected = expected_near(camera, frame, where, NEARBY * field.half_diagonal, np.full(judged, counted / lens[0]))
     expected[::-1].sort()
     probability = min(1.0, tail(expected[:others], agreeing - corners) * max(tried, 1) * 2 * (1 + np.log(max(tried, 1))) ** 2)
-    return probability, spot[kept], rows[star[spot[kept]]], lens
+    return probability, spot[kept], rows[star[spot[kept]]]
