@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import textwrap
 
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure as Sheet
@@ -21,7 +22,7 @@ from .transfer_figures import figures, planes
 
 LABEL = "EMVA 1288 style, not certified"
 PAGE_IN = (8.27, 11.69)  # A4
-ROWS_A_PAGE, LONGEST_CELL = 58, 70
+ROWS_A_PAGE, LONGEST_CELL, LINE = 52, 70, 130
 FIELDS = ("name", "symbol", "value", "uncertainty", "unit", "source", "reason")
 
 
@@ -63,7 +64,7 @@ def _pdf(calmap: CalibrationMap, measurement: Measurement) -> bytes:
         for plane in planes(measurement):
             figures_table = table(plane)
             for first in range(0, len(figures_table.rows), ROWS_A_PAGE):
-                pages.savefig(_table_page(figures_table, first, head, summary(measurement)))
+                pages.savefig(_table_page(figures_table, first, head, summary(measurement), measurement.warnings))
             for drawn in figures(plane):
                 title = f"{drawn.title}, plane {plane.name}" if plane.name else drawn.title
                 drawn.made.suptitle(f"{title}. {drawn.reading}", fontsize=8, x=0.01, ha="left")
@@ -71,16 +72,17 @@ def _pdf(calmap: CalibrationMap, measurement: Measurement) -> bytes:
     return out.getvalue()
 
 
-def _table_page(made: Table, first: int, head: str, said: str) -> Sheet:
+def _table_page(made: Table, first: int, head: str, said: str, warnings: tuple[str, ...]) -> Sheet:
     page, (axes,) = sheet(PAGE_IN)
     axes.set_axis_off()
-    axes.set_title(f"{head}\n{said}", fontsize=7, color=GREY, wrap=True)
+    lines = [head, said, *(f"Warning: {text}" for text in warnings)]
+    axes.set_title("\n".join(part for text in lines for part in textwrap.wrap(text, LINE)), fontsize=7, color=GREY)
     heads = ("Quantity", "Symbol", "Value ± 1σ", "Unit", "Section")
     rows = []
     for cells in made.rows[first:first + ROWS_A_PAGE]:
         row = dict(zip(made.columns, cells, strict=True))
         last = row["Remark"] if row["Value ± 1σ"] == MISSING else row["Section"]
-        rows.append([*(row[head] for head in heads[:-1]), last[:LONGEST_CELL]])
+        rows.append([*(row[head] for head in heads[:-1]), textwrap.shorten(last, LONGEST_CELL, placeholder=" …")])
     drawn = axes.table(cellText=rows, colLabels=heads, loc="upper left", cellLoc="left", edges="B")
     drawn.auto_set_font_size(False)
     drawn.set_fontsize(5.5)

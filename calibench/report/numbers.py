@@ -56,7 +56,9 @@ def sigma(uncertainty: float | None, times: int = 1) -> str:
 
 
 def with_uncertainty(value: float | None, uncertainty: float | None) -> str:
-    """value ± 1 sigma."""
+    """value ± 1 sigma; of a figure that is exactly 0, because its square came out negative, the upper limit alone."""
+    if value == 0 and _usable(uncertainty):
+        return f"< {sigma(uncertainty)}"
     text = rounded_like(value, uncertainty)
     if text == MISSING or not _usable(uncertainty):
         return text

@@ -72,6 +72,8 @@ def _transfer(shown: Shown) -> Drawn:
     above.plot(signal[rest], variance[rest], "o", color=ORANGE, markersize=3.5, markerfacecolor="none", label="not fitted")
     ends = np.array([0, signal[used].max() * 1.05])
     above.plot(ends, offset + slope * ends, color=INK, linewidth=1, label="line")
+    if (full := shown.values["saturation_dn"].value) is not None:
+        above.axvline(full, color=GREY, linestyle=":", linewidth=1, label="saturation")
     above.set(xlabel="mean above dark (DN)", ylabel="temporal variance above dark (DN²)", title="photon transfer")
     residual = variance - offset - slope * signal
     below.axhline(0, color=GREY, linewidth=1)
@@ -144,18 +146,34 @@ def _dark_current(shown: Shown) -> Drawn:
 def _spectrograms(shown: Shown, which: str, what: str) -> Drawn:
     made, panels = sheet(WIDE, 2)
     temporal = float(shown.curves[f"{which}_temporal_dn"][0])
+    fixed = _pattern_dn(shown, what)
     said = []
     for axes, way in zip(panels, ("rows", "columns"), strict=True):
         power = shown.curves[f"{which}_spectrum_{way}_dn"]
         cycles = np.linspace(0, 0.5, len(power))
-        axes.semilogy(cycles[1:], power[1:].clip(1e-6), color=BLUE, linewidth=0.8)
+        axes.plot(cycles[1:], power[1:].clip(1e-6), color=BLUE, linewidth=0.8)
         axes.axhline(temporal, color=GREY, linestyle="--", linewidth=1, label="temporal noise left in the mean")
-        axes.set(xlabel="cycles per pixel", ylabel="root of the mean power (DN)", title=f"along the {way}")
-        axes.legend(loc="upper right")
+        if fixed:
+            axes.axhline(fixed, color=ORANGE, linestyle="--", linewidth=1, label=f"{what}1288")
+        wide = max(power[1:].max(), temporal) > 10 * max(min(power[1:].min(), temporal, fixed or np.inf), 1e-6)
+        axes.set(xlabel="cycles per pixel", ylabel="root of the mean power (DN)", title=f"along the {way}",
+                 yscale="log" if wide else "linear")
+        _above(axes)
         strongest = 1 + int(np.argmax(power[1:]))
         said.append(f"along the {way} the strongest wave has {number(cycles[strongest], 3)} cycles per pixel")
     _finish(*panels)
     return Drawn(f"Spectrograms, {what}", made, f"High-passed; {'; '.join(said)}.", True)
+
+
+def _pattern_dn(shown: Shown, what: str) -> float:
+    """DSNU1288 or PRNU1288 in DN, where white noise of that size would lie; 0 where there is none."""
+    value, gain = (shown.values[n].value for n in ("dsnu_1288_e" if what == "DSNU" else "prnu_1288_percent", "gain_dn_per_e"))
+    if not value:
+        return 0.0
+    if what == "DSNU":
+        return value * gain
+    dark_dn, bright_dn = (float(shown.curves[f"{kind}_profile_rows_dn"][1].mean()) for kind in ("dark", "bright"))
+    return value / 100 * (bright_dn - dark_dn)
 
 
 def _profiles(shown: Shown, which: str, what: str) -> Drawn:
@@ -164,7 +182,7 @@ def _profiles(shown: Shown, which: str, what: str) -> Drawn:
         for (label, colour, width), values in zip(STYLES, shown.curves[f"{which}_profile_{way}_dn"], strict=True):
             axes.plot(values, color=colour, linewidth=width, label=label)
         axes.set(xlabel=across, ylabel="DN", title=f"over all {way}")
-    panels[0].legend(loc="upper right", ncols=4)
+        _above(axes)
     _finish(*panels)
     mean = shown.curves[f"{which}_profile_rows_dn"][1]
     return Drawn(f"Profiles, {what}", made, f"Not high-passed; the mean row runs from {number(mean.min())} to "
@@ -188,6 +206,11 @@ def _histograms(shown: Shown, which: str, what: str) -> Drawn:
     _finish(log, accumulated)
     far = np.interp(5 * sd, deviation, percents) / 100
     return Drawn(f"Histograms, {what}", made, f"High-passed; beyond 5σ of the core lie {percent(far)} of the pixels.", True)
+
+
+def _above(axes: object) -> None:
+    """The legend over the axes, where no curve runs."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=4, borderaxespad=0.1, handlelength=1.5, columnspacing=1.2)
 
 
 def _finish(*panels: object) -> None:

@@ -72,3 +72,8 @@ def test_a_table_refuses_rows_and_columns_that_do_not_fit():
                                               ("skipped", "open")])
 def test_tone_of_a_status(status, tone):
     assert Badge(status=status).tone == tone
+
+
+def test_a_figure_whose_square_came_out_negative_is_an_upper_limit():
+    assert with_uncertainty(0.0, 0.13) == "< 0.13"
+    assert with_uncertainty(0.0, None) == "0"

@@ -100,7 +100,7 @@ def saturation(curve: Curve) -> tuple[Figure, Figure]:
 
     def at(values: np.ndarray) -> Figure:
         gap = max(values[step] - values[i], values[i] - values[max(i - 1, 0)])
-        return Figure(float(values[i]), float(CERTAIN * gap), curve.saturated_by)
+        return Figure(float(values[i]), float(CERTAIN * gap), f"{curve.saturated_by}; full lies in the ladder's step above it")
     return at(curve.signal_dn), at(curve.light)
 
 

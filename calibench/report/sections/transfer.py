@@ -13,6 +13,7 @@ ORDER = 45
 TITLE = "Photon transfer (EMVA 1288 style, not certified)"
 COLUMNS = ("Quantity", "Symbol", "Value ± 1σ", "1σ (%)", "Unit", "Section", "Remark")
 NUMBERS = frozenset({"Value ± 1σ", "1σ (%)"})
+GREEK = {"sigma": "σ", "alpha": "α", "eta": "η", "rho": "ρ", "mu": "μ"}
 LENS = {"yes": "A lens was mounted: the figures are those of the system.", "no": "No lens was mounted."}
 
 
@@ -44,7 +45,10 @@ def table(plane: Shown) -> Table:
 def _row(quantity: Quantity) -> tuple[str, ...]:
     value, error = quantity.value, quantity.uncertainty
     relative = number(100 * error / abs(value), 2) if value and error is not None else MISSING
-    return (quantity.name, quantity.symbol, with_uncertainty(value, error), relative,
+    symbol = quantity.symbol
+    for word, letter in GREEK.items():
+        symbol = symbol.replace(word, letter)
+    return (quantity.name, symbol, with_uncertainty(value, error), relative,
             "" if quantity.unit == "1" else quantity.unit, quantity.source.removeprefix("EMVA 1288 "), quantity.reason)
 
 
