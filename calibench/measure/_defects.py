@@ -15,6 +15,7 @@ from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
 from scipy.special import chdtri, ndtr
 
 from ..records import DEFECT_FLAGS
+from ._quantiles import row_medians
 
 BLOCK_PX = 32
 SAMPLE_PIXELS = 250_000  # enough for a median: 0.25 % of the spread
@@ -57,10 +58,11 @@ def _block_medians(image: np.ndarray) -> np.ndarray:
         at.append((first[:, None] + np.arange(side)).ravel())
         sides.append((parts, side))
     (rows, high), (columns, wide) = sides
-    blocks = image[at[0]][:, at[1]].reshape(rows, high, columns, wide).swapaxes(1, 2).reshape(rows, columns, high * wide)
-    middle = high * wide // 2
-    blocks.partition((middle - 1, middle), axis=2)
-    return (blocks[..., middle - 1] + blocks[..., middle]) / 2 if high * wide % 2 == 0 else blocks[..., middle]
+    out = np.empty((rows, columns), image.dtype)
+    for i, band in enumerate(at[0].reshape(rows, high)):  # a band at a time: blocks of the whole image would be two more images
+        blocks = image[band][:, at[1]].reshape(high, columns, wide).swapaxes(0, 1).reshape(columns, high * wide)
+        out[i] = row_medians(blocks)
+    return out
 
 
 def _spread(blocks: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -74,8 +76,8 @@ def background(image: np.ndarray, bayer_pattern: str | None) -> np.ndarray:
     for plane in planes(image.shape, bayer_pattern):
         part = np.ascontiguousarray(image[plane], np.float32)
         level = _spread(_block_medians(part), part.shape)
-        level += np.median(part - level, axis=1, keepdims=True)
-        level += np.median(np.ascontiguousarray((part - level).T), axis=1)  # along memory: five times faster
+        level += row_medians(part - level)[:, None]
+        level += row_medians(np.ascontiguousarray((part - level).T))  # along memory: five times faster
         out[plane] = level
     return out
 
@@ -98,10 +100,12 @@ def scale(deviation: np.ndarray, variance: np.ndarray, bayer_pattern: str | None
         variance: of the value of each pixel. Its typical size is in the core sigma already, only an excess over it is added.
         floor: least variance of a value, from quantisation (coarse data may leave a median deviation of zero).
     """
-    excess = np.maximum(variance - np.float32(typical(variance)), 0)
-    excess += core_sigma(deviation, bayer_pattern) ** 2
-    excess += np.float32(floor)
-    return np.sqrt(excess)
+    out = core_sigma(deviation, bayer_pattern)
+    out *= out
+    excess = variance - np.float32(typical(variance))
+    out += np.maximum(excess, 0, out=excess)
+    out += np.float32(floor)
+    return np.sqrt(out, out=out)
 
 
 def noisy(variance: np.ndarray, freedom: int, expected: float, factor: float) -> np.ndarray:
@@ -141,7 +145,7 @@ def lines_above(image: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray
     scatter."""
     found = []
     for axis in (1, 0):
-        level = np.median(image if axis == 1 else np.ascontiguousarray(image.T), axis=1)
+        level = row_medians(image if axis == 1 else np.ascontiguousarray(image.T))
         above = level - median_filter(level, LINES_AROUND, mode="nearest")
         found.append(above > max(limit, LINE_SIGMA * 1.4826 * float(np.median(np.abs(above)))))
     return found[0], found[1]

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ._quantiles import quantiles
 from .kernels import rest_moments
 
 BINOMIAL = np.array([0.25, 0.5, 0.25])
@@ -68,9 +69,8 @@ def spatial_core(filtered: np.ndarray, temporal_variance_of_mean: float, of_all:
 
     of_all: the split of the same image, for the errors of rows and columns, of which there are few.
     """
-    ordered = np.sort(filtered, axis=None)  # a third of the time of np.percentile
-    below, above = (int(share * (ordered.size - 1)) for share in (0.25, 0.75))
-    measured = (float(ordered[above] - ordered[below]) / 1.34898) ** 2
+    low, high = quantiles(filtered, (0.25, 0.75))
+    measured = ((high - low) / 1.34898) ** 2
     of_pixels = measured * np.sqrt(2 * WIDER / (filtered.size * IQR_EFFICIENCY))
     return _spatial(measured - NOISE_GAIN * temporal_variance_of_mean,
                     float(np.linalg.norm([of_pixels, _error(of_all.row), _error(of_all.column)])))

@@ -70,6 +70,8 @@ def find_defects(ladder: Ladder, quiet: DarkLevel | None, rules: Rules, fetch: F
     z = deviation / scale
     null = fit_null(_sample(z))
     threshold = null.threshold(z.size, rules.false_alarms)
+    detection_limit = _detection_limit(scale, null, threshold, ladder, rules)
+    del scale
     significant = z > threshold
     hot = significant & (deviation > rules.limit)
     noisy = _noisy(ladder, quiet, deviation, rules)
@@ -92,8 +94,7 @@ def find_defects(ladder: Ladder, quiet: DarkLevel | None, rules: Rules, fetch: F
         "hot_above_limit_count": hot_by_level(ladder, rules),
         "z_histogram_count": counts, "z_histogram_edge": edges,
         "z_null": np.array([null.centre, null.scale, null.g, null.h, threshold])}
-    return Found(masks=masks, evidence=evidence,
-                 detection_limit=_detection_limit(scale, null, threshold, ladder, rules))
+    return Found(masks=masks, evidence=evidence, detection_limit=detection_limit)
 
 
 def above_mean_plus_sigma(mean: np.ndarray, counted: np.ndarray, k_sigma: float = THESIS_SIGMA) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 from ...records import Quantity
 from .. import _nonuniformity as spatial
 from .._gain import Gain
+from .._quantiles import quantiles
 from .defects import Found
 from .ladder import Ladder
 from .levels import DarkLevel
@@ -23,7 +24,7 @@ def read_noise_map(quiet: DarkLevel, noisy: np.ndarray) -> np.ndarray:
     variances is chance (James and Stein 1961); a noisy pixel keeps its own.
     """
     variance = quiet.variance_dn2
-    low, middle, high = np.percentile(variance, (15.87, 50, 84.13))
+    low, middle, high = quantiles(variance, (0.1587, 0.5, 0.8413))
     chance = 2 * middle**2 / quiet.freedom
     real = max(((high - low) / 2) ** 2 - chance, 0.0)
     share = real / (real + chance) if chance > 0 else 1.0
