@@ -22,6 +22,8 @@ def group() -> None:
 def session(folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder.")],
             plan: Annotated[str, typer.Option(help="What and how much: sample, thesis or emva.")] = "sample",
             seed: Annotated[int, typer.Option(min=0, help="The same seed renders the same camera and frames.")] = 1,
+            coupling: Annotated[float, typer.Option(min=0, max=0.1, help="Part of a pixel's charge that shows in each of its "
+                                                                         "four neighbours.")] = 0.0,
             json_: Json = False) -> None:
     """A whole protocol (boards, darks, flats, spots, sky) and its truth.toml."""
     from ..session.render import PLANS, frames_of, render
@@ -29,7 +31,7 @@ def session(folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new fo
         raise UsageError(f"no plan '{plan}'", mend=f"choose one of: {', '.join(PLANS)}")
     total, count = frames_of(PLANS[plan]()), 0
     with progress() as tell:
-        for path in render(folder, plan_name=plan, seed=seed):
+        for path in render(folder, plan_name=plan, seed=seed, coupling=coupling):
             count += 1
             tell(f"render {path.parent.name}", count, total)
     if json_:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,8 +33,8 @@ def frames_of(plan: SessionPlan) -> int:
             + ladder)
 
 
-def render(folder: Path, *, plan_name: str = "sample", seed: int = 1) -> Iterator[Path]:
-    """Write the session frame by frame, yielding each file's path; truth.toml is written last.
+def render(folder: Path, *, plan_name: str = "sample", seed: int = 1, coupling: float = 0.0) -> Iterator[Path]:
+    """Write the session frame by frame, yielding each file's path; truth.toml is written last. coupling: of the sensor.
 
     Raises:
         BadInput: the folder already holds something.
@@ -42,6 +43,7 @@ def render(folder: Path, *, plan_name: str = "sample", seed: int = 1) -> Iterato
     if folder.is_dir() and any(folder.iterdir()):
         raise BadInput("this folder is not empty", file=folder, mend="name a new folder")
     camera, plan = thesis_camera(seed), PLANS[plan_name]()
+    camera = replace(camera, sensor=replace(camera.sensor, coupling=coupling))
     truth = camera_truth(camera) | {"simulate": {"plan": plan_name, "seed": seed}, "frames": {}}
     for rendered in render_session(camera, load_star_table(), plan, seed=seed, observer_at=observer_at):
         frame, path = rendered.frame, folder / rendered.path

@@ -35,7 +35,8 @@ class Sensor:
 
     Dark rate: lognormal over the pixels with median dark_rate_e_per_s and sigma dark_rate_spread (of its logarithm) at
     dark_reference_c, doubling every dark_doubling_c. dsnu_e: white scatter of the offset; column_dn: scatter of the
-    columns' offsets; prnu: scatter of the response.
+    columns' offsets; prnu: scatter of the response. coupling: part of a pixel's charge that shows in each of its four
+    neighbours (interpixel capacitance), below 0.25.
     """
 
     bit_depth: int
@@ -53,6 +54,7 @@ class Sensor:
     column_dn: float
     prnu: float
     defects: Defects
+    coupling: float = 0.0
 
     @property
     def white_level_dn(self) -> int:
@@ -115,7 +117,7 @@ def expose(camera: SimulatedCamera, light_e: np.ndarray | float, *, exposure_s: 
 
     light_e: photo-electrons (H, W) or scalar that a pixel of response 1 collects on average in this exposure, vignetting
     included. Order of events: response, shot noise of light and dark charge, telegraph step (on in half of the frames),
-    full well, read and reset noise, gain, offset, rounding, clipping to the converter's range, stuck pixels.
+    full well, coupling, read and reset noise, gain, offset, rounding, clipping to the converter's range, stuck pixels.
     """
     sensor, pattern = camera.sensor, camera.pattern
     warming = 2.0 ** ((temperature_c - sensor.dark_reference_c) / sensor.dark_doubling_c)
@@ -124,6 +126,15 @@ def expose(camera: SimulatedCamera, light_e: np.ndarray | float, *, exposure_s: 
     charge_e = charge_e.astype(float)
     charge_e[switching] += pattern.telegraph_e[switching] * rng.integers(0, 2, np.count_nonzero(switching))
     np.minimum(charge_e, sensor.full_well_e, out=charge_e)
+    if sensor.coupling:
+        charge_e = _shared(charge_e, sensor.coupling)
     charge_e += sensor.temporal_dark_noise_e * rng.standard_normal(charge_e.shape)
     level_dn = np.rint(sensor.gain_dn_per_e * charge_e + pattern.offset_dn).clip(0, sensor.white_level_dn)
     return np.where(np.isnan(pattern.stuck_dn), level_dn, pattern.stuck_dn).astype(np.uint16)
+
+
+def _shared(charge_e: np.ndarray, coupling: float) -> np.ndarray:
+    """Each pixel's charge seen in part by its four neighbours; at the borders it stays."""
+    padded = np.pad(charge_e, 1, mode="edge")
+    neighbours = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
+    return (1 - 4 * coupling) * charge_e + coupling * neighbours

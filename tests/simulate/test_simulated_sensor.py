@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibench.simulate.camera import SimulatedCamera, stream, thesis_camera
-from calibench.simulate.sensor import HOT_FROM_E_PER_S, expose
+from calibench.simulate.sensor import HOT_FROM_E_PER_S, _shared, expose
 
 CAMERA = thesis_camera(3)
 
@@ -118,3 +118,22 @@ def test_the_fitted_hot_pixels_keep_the_thesis_counts_only_without_stuck_ones():
         assert mean_dn.mean() == pytest.approx(64.1, abs=0.1)
     mean_dn = np.mean([expose(CAMERA, 0.0, exposure_s=0.0729, temperature_c=25.0, rng=stream(5, i)) for i in range(20)], axis=0)
     assert np.count_nonzero(mean_dn - mean_dn.mean() > 5 * mean_dn.std()) < 10
+
+
+def test_coupled_pixels_share_their_charge_and_keep_its_sum():
+    charge = np.zeros((7, 9))
+    charge[3, 4], charge[0, 0] = 1000.0, 100.0
+    shared = _shared(charge, 0.02)
+    assert shared.sum() == pytest.approx(1100)
+    assert (shared[3, 4], shared[2, 4], shared[3, 5], shared[2, 3]) == pytest.approx((920, 20, 20, 0))
+    assert (shared[0, 0], shared[0, 1], shared[1, 0]) == pytest.approx((96, 2, 2))
+
+
+def test_coupling_correlates_the_noise_of_neighbours():
+    coupled = dataclasses.replace(CAMERA, sensor=dataclasses.replace(CAMERA.sensor, coupling=0.02))
+    whole = np.subtract(*(expose(coupled, 3000.0, exposure_s=0.01, temperature_c=25.0, rng=stream(12, i)).astype(float)
+                          for i in range(2)))
+    kept = np.abs(whole) < 6 * whole[good(CAMERA)].std()
+    beside = kept[:, 1:] & kept[:, :-1]
+    rho = np.mean(whole[:, 1:][beside] * whole[:, :-1][beside]) / np.var(whole[kept])
+    assert rho == pytest.approx(2 * 0.02 * 0.92 / (0.92**2 + 4 * 0.02**2) * 0.965, rel=0.08)  # shot noise is 96.5 % of it
