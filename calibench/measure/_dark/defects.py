@@ -61,36 +61,39 @@ def find_defects(ladder: Ladder, quiet: DarkLevel | None, rules: Rules, fetch: F
             (P, 2), by one second pass over the frames; None where the frames cannot be read again.
     """
     known = ladder.rate_dn_per_s is not None
-    value, variance = (ladder.rate_dn_per_s, ladder.rate_variance) if known else (ladder.offset_dn, ladder.offset_variance_dn2)
+    value = ladder.rate_dn_per_s if known else ladder.offset_dn
     frames = sum(level.count for level in ladder.levels)
     floor = QUANTISATION_DN2 / frames / (max(ladder.exposure_s) ** 2 if known else 1.0)
-    local = defect.background(value, rules.bayer_pattern)
-    deviation = value - local
+    deviation = value - defect.background(value, rules.bayer_pattern)
+    variance = ladder.rate_variance if known else ladder.offset_variance_dn2
     scale = defect.scale(deviation, variance, rules.bayer_pattern, floor)
     z = deviation / scale
     null = fit_null(_sample(z))
     threshold = null.threshold(z.size, rules.false_alarms)
     detection_limit = _detection_limit(scale, null, threshold, ladder, rules)
-    del scale
+    del scale, variance
     significant = z > threshold
     hot = significant & (deviation > rules.limit)
     noisy = _noisy(ladder, quiet, deviation, rules)
-    offset_local = defect.background(ladder.offset_dn, rules.bayer_pattern) if known else local
+    offset_local = defect.background(ladder.offset_dn, rules.bayer_pattern) if known else value - deviation
     stuck = _stuck(ladder, offset_local, hot, rules)
-    unsteady, evidence = _unsteady(ladder, significant & ~stuck, (offset_local, local), fetch)
+    unsteady, evidence = _unsteady(ladder, significant & ~stuck, (offset_local, deviation), fetch)
+    del offset_local
     noisy |= unsteady["hit"]
     hot &= ~unsteady["hit"]
     masks = {"hot": hot, "warm": significant & ~hot & ~unsteady["hit"], "stuck": stuck, "noisy": noisy,
              "telegraph": unsteady["telegraph"] & ~stuck, "nonlinear": _nonlinear(ladder, rules) & ~stuck}
-    thesis = [above_mean_plus_sigma(level.mean_dn, ~stuck) for level in ladder.levels]
-    masks["hot_thesis"] = thesis[-1]
+    thesis = []
+    for level in ladder.levels:
+        masks["hot_thesis"] = above_mean_plus_sigma(level.mean_dn, ~stuck)
+        thesis.append(int(masks["hot_thesis"].sum()))
     masks["row"], masks["column"] = _lines(masks, ladder, rules)
     per_s = "_per_s" if known else ""
     rows, columns = np.nonzero(hot)
     counts, edges = _histogram(z)
     evidence |= {
         "hot_xy_px": np.stack([columns, rows], -1), f"hot_excess_dn{per_s}": deviation[hot], "hot_z": z[hot],
-        "hot_thesis_count": np.array([int(m.sum()) for m in thesis]),
+        "hot_thesis_count": np.array(thesis),
         "hot_above_limit_count": hot_by_level(ladder, rules),
         "z_histogram_count": counts, "z_histogram_edge": edges,
         "z_null": np.array([null.centre, null.scale, null.g, null.h, threshold])}
@@ -155,7 +158,10 @@ def _noisy(ladder: Ladder, quiet: DarkLevel | None, deviation: np.ndarray, rules
 
 def _unsteady(ladder: Ladder, significant: np.ndarray, local: tuple[np.ndarray, np.ndarray], fetch: Fetch) -> tuple[dict, dict]:
     """Telegraph pixels, and hits: significant pixels that most frames do not confirm. Telegraph signals are looked for where
-    there are most frames and at the longest exposure, hits at the longest, where they count most. local: of offset and rate."""
+    there are most frames and at the longest exposure, hits at the longest, where they count most.
+
+    local: level of the offset around each pixel, and deviation of its rate from the rates around.
+    """
     masks = {"telegraph": np.zeros_like(significant), "hit": np.zeros_like(significant)}
     evidence: dict[str, np.ndarray] = {}
     levels = list(zip(ladder.levels, ladder.variance_dn2, strict=True))
@@ -170,7 +176,9 @@ def _unsteady(ladder: Ladder, significant: np.ndarray, local: tuple[np.ndarray, 
     found = fetch([level for level, *_ in looks], [xy_px for *_, xy_px in looks]) if looks else None
     for (level, typical, _), series in zip(looks, found, strict=True) if found else ():
         x, y = series.xy_px.T
-        at = local[0][y, x] + (local[1][y, x] * level.exposure_s if ladder.rate_dn_per_s is not None else 0)
+        at = local[0][y, x]
+        if ladder.rate_dn_per_s is not None:
+            at = at + (ladder.rate_dn_per_s[y, x] - local[1][y, x]) * level.exposure_s
         longest = level is ladder.levels[-1]
         unconfirmed = significant[y, x] & longest & ~telegraph.confirmed(series.values_dn, at, typical)
         jumping, step, duty = telegraph.two_levels(series.values_dn)
@@ -190,16 +198,16 @@ def _nonlinear(ladder: Ladder, rules: Rules) -> np.ndarray:
     if ladder.rate_dn_per_s is None or len(ladder.levels) < 3:
         return found
     noise = np.float32(np.sqrt(defect.typical(ladder.variance_dn2[0])))
-    for t, departure, variance in ladder.departures():
-        matters = np.maximum(np.abs(ladder.rate_dn_per_s) * np.float32(t * rules.nonlinear), noise)
+    for t, departure, of_frame, count in ladder.departures():
+        matters = np.abs(ladder.rate_dn_per_s)
+        matters *= np.float32(t * rules.nonlinear)
+        np.maximum(matters, noise, out=matters)
         departure -= np.float32(defect.typical(departure))  # what all pixels do together is the sensor's, not the pixel's
         chosen = np.nonzero(np.abs(departure) > matters)
         spread = 1.4826 * defect.typical(np.abs(_sample(departure)))
-        common = np.float32(defect.typical(variance))
-
-        floor = np.float32(spread**2 + QUANTISATION_DN2)
-        sample, chosen_z = (some / np.sqrt(np.maximum(of_some - common, 0) + floor) for some, of_some in (
-            (_sample(departure), _sample(variance)), (departure[chosen], variance[chosen])))
+        common, floor = np.float32(defect.typical(of_frame)), np.float32(spread**2 + QUANTISATION_DN2)
+        sample, chosen_z = (some / np.sqrt(np.maximum(variance - common, 0) / np.float32(count) + floor) for some, variance in (
+            (_sample(departure), _sample(of_frame)), (departure[chosen], of_frame[chosen])))
         threshold = fit_null(sample).threshold(departure.size, rules.false_alarms / (2 * len(ladder.levels)))
         found[chosen] |= np.abs(chosen_z) > threshold
     return found

@@ -21,8 +21,8 @@ class Ladder:
     """Dark levels of one temperature in ascending exposure and the line through them. Images are (H, W) float32.
 
     exposure_s: (K,), or None where no frame says it (then K is 1). variance_dn2: temporal variance of one frame at each level.
-    offset_dn, offset_variance_dn2, and rate_dn_per_s, rate_variance; the rate is None where there are fewer than two
-    exposures, and the offset then holds the dark signal. to_rate: (K,) weights of the mean images that make the rate.
+    offset_dn and rate_dn_per_s; the rate is None where there are fewer than two exposures, and the offset then holds the dark
+    signal. to_offset, to_rate: (K,) weights of the mean images that make them.
     level_rate, level_offset: (value, uncertainty) of the line through the mean levels.
     noise_known: some exposure has two frames or more; else the noise is taken from the scatter over the image.
     """
@@ -31,9 +31,8 @@ class Ladder:
     levels: tuple[DarkLevel, ...]
     variance_dn2: tuple[np.ndarray, ...]
     offset_dn: np.ndarray
-    offset_variance_dn2: np.ndarray
     rate_dn_per_s: np.ndarray | None
-    rate_variance: np.ndarray | None
+    to_offset: np.ndarray
     to_rate: np.ndarray | None
     level_offset: tuple[float, float]
     level_rate: tuple[float, float] | None
@@ -45,11 +44,26 @@ class Ladder:
         stated = [level.temperature_c for level in self.levels if level.temperature_c is not None]
         return float(np.mean(stated)) if stated else None
 
-    def departures(self) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
-        """For each exposure: (exposure in s, mean image minus line (H, W), variance of the mean image). Needs a rate."""
+    @property
+    def offset_variance_dn2(self) -> np.ndarray:
+        """(H, W), made anew at each call."""
+        return self._variance_by(self.to_offset)
+
+    @property
+    def rate_variance(self) -> np.ndarray | None:
+        """(H, W), made anew at each call."""
+        return None if self.to_rate is None else self._variance_by(self.to_rate)
+
+    def departures(self) -> Iterator[tuple[float, np.ndarray, np.ndarray, int]]:
+        """For each exposure: (exposure in s, mean image minus line (H, W), variance of one frame (H, W), number of frames).
+        Needs a rate."""
         for t, level, variance in zip(self.exposure_s, self.levels, self.variance_dn2, strict=True):
-            line = self.offset_dn + np.float32(t) * self.rate_dn_per_s
-            yield t, level.mean_dn - line, variance / np.float32(level.count)
+            line = np.float32(t) * self.rate_dn_per_s
+            line += self.offset_dn
+            yield t, np.subtract(level.mean_dn, line, out=line), variance, level.count
+
+    def _variance_by(self, weights: np.ndarray) -> np.ndarray:
+        return _combine(weights**2 / [level.count for level in self.levels], self.variance_dn2)
 
 
 def fit(levels: Sequence[DarkLevel], white_level_dn: float, gain_dn_per_e: float) -> Ladder:
@@ -68,8 +82,8 @@ def fit(levels: Sequence[DarkLevel], white_level_dn: float, gain_dn_per_e: float
     common = {"levels": tuple(levels), "variance_dn2": variance, "exposure_s": exposures, "noise_known": bool(known)}
     if exposures is None or len(exposures) < 2:
         one = levels[0]
-        return Ladder(**common, offset_dn=one.mean_dn, offset_variance_dn2=variance[0] / one.count,
-                      rate_dn_per_s=None, rate_variance=None, to_rate=None, level_rate=None, level_offset=(
+        return Ladder(**common, offset_dn=one.mean_dn, rate_dn_per_s=None, to_offset=np.ones(1), to_rate=None,
+                      level_rate=None, level_offset=(
                           float(one.levels_dn.mean()), _level_error(one, variance[0])))
     t = np.array(exposures)
     counts = np.array([level.count for level in levels])
@@ -79,9 +93,8 @@ def fit(levels: Sequence[DarkLevel], white_level_dn: float, gain_dn_per_e: float
     level_offset, level_rate = _level_line(t, level, error)
     check_rate(level_rate[0], white_level_dn, gain_dn_per_e)
     means = [one.mean_dn for one in levels]
-    return Ladder(**common, level_offset=level_offset, level_rate=level_rate, to_rate=to_rate,
-                  offset_dn=_combine(to_offset, means), offset_variance_dn2=_combine(to_offset**2 / counts, variance),
-                  rate_dn_per_s=_combine(to_rate, means), rate_variance=_combine(to_rate**2 / counts, variance))
+    return Ladder(**common, level_offset=level_offset, level_rate=level_rate, to_offset=to_offset, to_rate=to_rate,
+                  offset_dn=_combine(to_offset, means), rate_dn_per_s=_combine(to_rate, means))
 
 
 def _variance(level: DarkLevel, known: list[DarkLevel]) -> np.ndarray:
