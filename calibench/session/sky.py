@@ -18,6 +18,8 @@ from ..stars.sky_catalogue import SkyCatalogue
 from ..stars.solve import STAGES, Solution, Solver
 from .reading import read_or_reason
 
+EXPLAINED = 3  # frames of a series that are searched once more, in vain, for a wrong field
+
 
 @dataclass
 class Sky:
@@ -42,7 +44,7 @@ class Sky:
         return self.finders[day]
 
     def _finder(self, observer: Observer) -> LostInSpace:
-        finder = LostInSpace(sky=SkyCatalogue.seen_by(self.table, observer), method=self.method, keep=kept)
+        finder = LostInSpace(sky=SkyCatalogue.seen_by(self.table, observer), method=self.method, keep=kept, explain=EXPLAINED)
         if self.finders:  # rows and sides of the patterns are the same stars' on any date, to far below the tolerance
             finder.tables = next(iter(self.finders.values())).tables
         return finder

@@ -26,7 +26,9 @@ from .view import EVEN, GUESSED_MODEL_SD_PX, STRAIGHT, KnownLens, View, guessed_
 
 DOUBTFUL = 1e-2  # below this, but not below the limit: a candidate was found and rejected
 FEWEST_SPOTS = 4
+PROVING_SPOTS = 6  # fewer leave at most two to bear out a triangle
 GIVEN_FOV_SLACK = 0.12  # a field given by hand is believed to this fraction
+SAME_FIELD = 0.03  # two lenses whose fields differ by less differ in something else
 FOV_RANGE_RAD = (np.radians(5.0), np.radians(60.0))
 # Along a ladder of unknown fields, neighbours differ by what an ideal lens bends between centre and edge: tan^2 of the half
 # field changes by this much.
@@ -76,6 +78,8 @@ class LostInSpace:
     accept: the false-match probability below which a match is believed.
     keep: where tables outlive the run, given by whoever may touch the disk: keep(name, Table, build) gives the table of that
     name, built anew where it is not found. Without it tables live as long as this object.
+    explain: how many frames that the given lens or field did not solve may in vain be searched once more with the lens left
+    free, to say whether it is wrong. A reason only: the answer stays that there is none.
     """
 
     sky: SkyCatalogue
@@ -83,6 +87,7 @@ class LostInSpace:
     accept: float = ACCEPT
     tables: dict = field(default_factory=dict)
     keep: Callable[[str, type[NamedTuple], Callable[[], NamedTuple]], NamedTuple] | None = None
+    explain: int = 0
 
     @cached_property
     def module(self) -> ModuleType:
@@ -112,7 +117,7 @@ class LostInSpace:
                     break
             if verifier.done:
                 return self._solved(verifier.best, spots, calibrated=lens is not None)
-        return self._why_not(verifier, spots, lens is not None, fov_rad)
+        return self._why_not(verifier, spots, image_size_px, lens, fov_rad)
 
     def table(self, key: object) -> NamedTuple:
         """The identifier's table of that key."""
@@ -150,9 +155,9 @@ class LostInSpace:
                               xy_px=xy, covariance_px2=covariance, direction_icrs=directions, intrinsics=lens,
                               false_match_probability=match.false_match_probability)
 
-    def _why_not(self, verifier: Verifier, spots: Spots, calibrated: bool, fov_rad: float | None) -> Identification:
-        suspect = ("the map's lens may not be this camera's" if calibrated else
-                   "the field given may be wrong" if fov_rad is not None else "field between 5 and 60 degrees was tried")
+    def _why_not(self, verifier: Verifier, spots: Spots, size: tuple[int, int], lens: Intrinsics | None,
+                 fov_rad: float | None) -> Identification:
+        suspect = self._suspect(spots, size, lens, fov_rad)
         best, tried = verifier.best, verifier.tried
         if best is None:
             return Identification(status="no_match", method=self.method,
@@ -163,6 +168,24 @@ class LostInSpace:
                   f"with probability {odds:.2g}, above the limit {self.accept:g}; {suspect}")
         return Identification(status="rejected" if odds < DOUBTFUL else "no_match", method=self.method, reason=reason,
                               false_match_probability=odds)
+
+    def _suspect(self, spots: Spots, size: tuple[int, int], lens: Intrinsics | None, fov_rad: float | None) -> str:
+        """What may be wrong where nothing was found; with `explain`, what the spots say when the lens is left free."""
+        if len(spots) < PROVING_SPOTS:
+            return "so few hardly prove anything"
+        if lens is None and fov_rad is None:
+            return "field between 5 and 60 degrees was tried"
+        if self.explain <= 0:
+            return "the field given may be wrong" if lens is None else "the map's lens may not be this camera's"
+        found = replace(self, method="pattern").identify(spots, size)
+        if found.status != "solved":
+            self.explain -= 1
+            return "nor does any lens of 5 to 60 degrees make them stars"
+        given, there = np.degrees([fov_rad if lens is None else horizontal_fov(lens), horizontal_fov(found.intrinsics)])
+        wrong = "field" if abs(there / given - 1) > SAME_FIELD else "lens"
+        mirrored = ", mirrored" if found.intrinsics.mirrored else ""
+        return (f"wrong {wrong} suspected: with the lens left free {len(found.spot_rows)} spots match{mirrored}, at "
+                f"{there:.1f} degrees across, {given:.1f} were given")
 
 
 def _digest(sky: SkyCatalogue, key: object) -> str:

@@ -20,8 +20,8 @@ from .kernels import TOLERANCE_SIGMA
 from .per_lens import lens_terms, per_lens
 
 GUESSED_RATIO_ERROR = 0.012  # an uncalibrated lens bends length ratios by this much (k1 of -0.1 over 20 degrees)
-# k1, k2 of what a lens may be like: no distortion, r = f tan t; or even angles, r = f t, by the series of the arc tangent, which
-# is what a wide lens does that nobody corrected.
+# k1, k2 of what a lens may be like: no distortion, r = f tan t; or even angles, r = f t, by the arc tangent's series, as wide
+# lenses do that nobody corrected.
 STRAIGHT, EVEN = (0.0, 0.0), (-1 / 3, 1 / 5)
 CALIBRATED_MISFIT = 3e-4  # of an angle: focus drift that a calibrated lens is allowed
 DRIFTED_SCALE_SLACK = 0.002  # a lens that has drifted: its focus moves with temperature by 0.2 %,

@@ -1,7 +1,7 @@
 """A lens of which nothing is known: success, wrong answers, CPU over field and distortion; mirrored or not. `make bench`.
 
-CALIBENCH_ATTITUDES: frames a cell (20). Half of the frames are mirrored; the fields are given to 10 %, or not at all. 1024 x 768
-pixels, 0.15 px, the brightest stars of the whole table, the principal point off by 6 and 4 px.
+CALIBENCH_ATTITUDES: frames a cell (20). Half of the frames are mirrored; the fields are given to 10 %, or not at all.
+1024 x 768 pixels, 0.15 px, the brightest stars of the whole table, the principal point off by 6 and 4 px.
 """
 
 from __future__ import annotations
