@@ -40,14 +40,6 @@ def typical(image: np.ndarray) -> float:
     return float(np.median(image.reshape(-1)[:: max(1, image.size // SAMPLE_PIXELS)]))
 
 
-def block_statistic(image: np.ndarray, block_px: int, statistic: callable) -> np.ndarray:
-    """A statistic (taking `axis`) of square blocks (rows, columns); the last block of a side takes what is left over."""
-    h, w = image.shape
-    rows, columns = max(1, round(h / block_px)), max(1, round(w / block_px))
-    y, x = (np.linspace(0, n, parts + 1).astype(int) for n, parts in ((h, rows), (w, columns)))
-    return np.array([[statistic(image[y[i]:y[i + 1], x[j]:x[j + 1]], axis=None) for j in range(columns)] for i in range(rows)])
-
-
 def _block_medians(image: np.ndarray) -> np.ndarray:
     """Medians of blocks of about BLOCK_PX x BLOCK_PX, of one size, evenly over the image (they may overlap by a pixel)."""
     at, sides = [], []

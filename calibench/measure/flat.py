@@ -25,6 +25,7 @@ from ._flat.illumination import illumination
 from ._flat.levels import RIGHT_FILL, FlatLevel, FlatLevels
 from ._frames.glance import glance
 from ._frames.ledger import Ledger
+from ._quantiles import row_medians
 from ._since import with_changes
 from ._transfer import MAX_FILL, TransferPoint
 
@@ -139,13 +140,13 @@ def _verdict(level: FlatLevel, dark_dn: float, first: Frame, settings: Settings)
 
 def _response(level: Level, smooth: np.ndarray, bayer_pattern: str | None) -> tuple[np.ndarray, np.ndarray]:
     """Response (H, W), mean 1 over each Bayer plane, and its 1-sigma uncertainty."""
-    response, error = level.signal_dn / smooth, np.zeros(smooth.shape)
+    response, error = level.signal_dn / smooth, np.zeros_like(smooth)
     temporal = level.variance_dn2 if level.freedom else np.maximum(level.signal_dn, 0)
     for plane in planes(smooth.shape, bayer_pattern):
-        scale = float(np.mean(response[plane]))
+        scale = float(np.mean(response[plane], dtype=np.float64))
         response[plane] /= scale
         # one pixel's variance from few frames is mostly chance: the plane's relation of noise to light is used
-        per_light = float(np.median(temporal[plane]) / np.median(level.signal_dn[plane]))
+        per_light = float(row_medians(temporal[plane].ravel()) / row_medians(level.signal_dn[plane].ravel()))
         variance = per_light * np.maximum(level.signal_dn[plane], 0) / level.count + level.dark_variance_dn2[plane]
         error[plane] = np.sqrt(variance) / (smooth[plane] * scale)
     return response, error
