@@ -54,9 +54,17 @@ def flat(frames: Frames, map_: Map = None, map_out: MapOut = None, json_: Json =
     _measure("flat", "flat", frames, {}, map_, map_out, json_)
 
 
-def psf(frames: Frames, map_: Map = None, map_out: MapOut = None, json_: Json = False) -> None:
-    """The point spread function over the field from frames of pinhole spots."""
-    _measure("psf", "light", frames, {}, map_, map_out, json_)
+def psf(frames: Frames, map_: Map = None, map_out: MapOut = None,
+        from_stars: Annotated[bool, typer.Option("--from-stars", help="The frames are of the sky: isolated stars in place of "
+                                                                      "pinholes.")] = False,
+        zero_point: Annotated[float | None, typer.Option(help="Magnitude of a star that gives one electron a second, for the "
+                                                              "limiting magnitude.")] = None,
+        star_exposure: Annotated[float | None, typer.Option(help="Exposure for which the faintest star is told, s; without it "
+                                                                 "the frames'.", min=0)] = None,
+        json_: Json = False) -> None:
+    """The point spread function over the field from frames of pinhole spots, or of stars."""
+    settings = {"from_stars": from_stars, "zero_point_mag": zero_point, "star_exposure_s": star_exposure}
+    _measure("psf", "light", frames, settings, map_, map_out, json_)
 
 
 COMMANDS = (intrinsics, dark, flat, psf)

@@ -25,11 +25,14 @@ from ._psf.chief_rays import chief_ray_shifts, shift_quantity
 from ._psf.encircled import encircled, encircled_radii
 from ._psf.epsf import Fitted
 from ._psf.faintest import ROUGH_PHASES, exposure_of, least_stars, star_quantities
-from ._psf.field import FieldPsf, over_field
+from ._psf.field import FieldPsf, dither_coverage, over_field
 from ._psf.figures import figures_at, places
+from ._psf.focus import FEWEST_POSITIONS, Series, focus_quantities, series_of
 from ._psf.quantities import core_quantity, map_quantities, spot_quantities, strehl_quantity
 from ._psf.spot_shapes import SpotShapes, shapes
+from ._psf.star_spots import moving
 
+FEWEST_SPOTS = 12  # of a focus position
 DRAWN_OUT = 0.1  # common ellipticity, where it has a direction, that a focused lens and a source at rest do not show
 
 
@@ -40,7 +43,8 @@ class Settings:
     shape_spots, dither: the least number of spots and share of the pixel (4 x 4 parts) in which they are centred, for a shape
     beyond a Gaussian. pinhole_px: diameter of the source's image, taken out of the shape. wavelength_um, f_number: for Strehl.
     star_exposure_s, sky_e_per_px_s, zero_point_mag: exposure (None: the frames'), sky and the magnitude of one e-/s, for the
-    faintest stars.
+    faintest stars. from_stars: the frames are of the sky: what stays on its pixel is no star, and stars that do not sample
+    the pixel are refused.
     """
 
     k_sigma: float = 5.0
@@ -54,6 +58,7 @@ class Settings:
     star_exposure_s: float | None = None
     sky_e_per_px_s: float = 0.0
     zero_point_mag: float | None = None
+    from_stars: bool = False
 
 
 def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: CalibrationMap | None = None) -> Measurement:
@@ -64,11 +69,12 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
             hot pixels and response stay.
 
     Raises:
-        BadInput: no frames, mixed settings, too few usable spots (with the reasons), or most of them saturated.
+        BadInput: no frames, mixed settings, too few usable spots (with the reasons), or most of them saturated; focus positions
+            that are no series.
     """
     settings = settings or Settings()
-    ledger = Ledger(settings, "pinhole frames")
-    found, rays, warnings = [], [], []
+    ledger = Ledger(settings, "star frames" if settings.from_stars else "pinhole frames")
+    found, rays, focus, warnings = [], [], [], []
     for frame in frames:
         if frame.kind in ("dark", "flat"):
             ledger.reject(frame, f"it says that it is a {frame.kind} frame")
@@ -78,11 +84,21 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         applied = calmap or CalibrationMap(image_size_px=frame.image_size_px)
         corrected = correct(frame, applied)
         warnings += corrected.warnings
+        alike = found[focus.index(frame.focus_um)] if frame.focus_um in focus else None
         rays.append(frame.chief_rays_px)
+        focus.append(frame.focus_um)
         found.append(shapes(corrected, frame.image_size_px, k_sigma=settings.k_sigma, least_snr=settings.least_snr,
-                            radius_px=found[0].windows.data_dn.shape[1] // 2 if found else None))
+                            radius_px=alike.windows.data_dn.shape[1] // 2 if alike else None))
     first = ledger.first
     gain = known_gain(calmap, first)
+    found = moving(found) if settings.from_stars else found
+    through, curves = [], {}
+    if len(set(focus)) > 1:
+        series = _series(found, focus, first.image_size_px)
+        through, curves = focus_quantities(series)
+        best = series.focus_um[np.argmin(series.sizes_px2)]
+        warnings.append(f"a series of {len(series.focus_um)} focus positions: the PSF map is that at {best:g} um")
+        found, rays = ([one for one, z in zip(all_of, focus, strict=True) if z == best] for all_of in (found, rays))
     _check(found, settings)
     field = over_field(found, first.image_size_px, gain_dn_per_e=gain.dn_per_e, shape_spots=settings.shape_spots,
                        dither=settings.dither, pinhole_px=settings.pinhole_px)
@@ -97,7 +113,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
                   strehl_quantity(field.psf, first, settings.wavelength_um, settings.f_number),
                   shift_quantity(shift, field.psf.centre), core_quantity(field.psf),
                   *star_quantities(exposure, stars, [least_stars(one, radius, ROUGH_PHASES) for one in field.without_part],
-                                   settings.k_sigma, settings.zero_point_mag))
+                                   settings.k_sigma, settings.zero_point_mag), *through)
     flux = np.concatenate([s.flux_dn for s in found])
     known = np.isfinite(gain.dn_per_e)
     return Measurement(
@@ -106,7 +122,8 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
                   "spot_used": field.used, "spot_frame": number,
                   "spot_flux_e" if known else "spot_flux_dn": flux / (gain.dn_per_e if known else 1.0),
                   "encircled_radius_px": curve[0], "encircled_fraction": curve[1]}
-        | _shape_evidence(field.fitted) | _field_evidence(field, radius, stars, settings.k_sigma * exposure.noise_e, shift),
+        | _shape_evidence(field.fitted) | _field_evidence(field, radius, stars, settings.k_sigma * exposure.noise_e, shift)
+        | curves,
         provenance=ledger.provenance(), warnings=_warnings(ledger, [*warnings, *_drawn_out(quantities)], field, calmap),
         frames_used=len(found), frames_rejected=tuple(ledger.rejected))
 
@@ -120,6 +137,24 @@ def _of_spots(found: list[SpotShapes], field: FieldPsf) -> list[str]:
     if any(aside.values()):
         out.append(f"spots set aside: {_listed({reason: n for reason, n in aside.items() if n})}")
     return out
+
+
+def _series(found: list[SpotShapes], focus_um: list[float | None], image_size_px: tuple[int, int]) -> Series:
+    """The through-focus series of these frames.
+
+    Raises:
+        BadInput: frames that do not say their position, or too few positions with spots.
+    """
+    if None in focus_um:
+        raise BadInput(f"{focus_um.count(None)} frames do not say their focus position, others do",
+                       mend="state focus_um in the sidecar of each frame, or give frames of one position")
+    seen = {z for one, z in zip(found, focus_um, strict=True) if len(one.xy_px) >= FEWEST_SPOTS}
+    if len(seen) < FEWEST_POSITIONS:
+        raise BadInput(f"{len(set(focus_um))} focus positions, {len(seen)} of them with {FEWEST_SPOTS} usable spots: "
+                       f"a through-focus series needs {FEWEST_POSITIONS}",
+                       mend="give frames of one position, or of several on both sides of the best focus")
+    chosen = [i for i, z in enumerate(focus_um) if z in seen]
+    return series_of([found[i] for i in chosen], [focus_um[i] for i in chosen], image_size_px)
 
 
 def _drawn_out(quantities: tuple[Quantity, ...]) -> list[str]:
@@ -150,6 +185,10 @@ def _check(found: list[SpotShapes], settings: Settings) -> None:
     if usable < settings.least_spots:
         raise BadInput(f"{usable} usable spots, {settings.least_spots} are the least (set aside: {_listed(reasons)})",
                        mend="use more pinholes or frames, in focus, sharp and well apart")
+    coverage = dither_coverage(np.concatenate([s.xy_px for s in found]))
+    if settings.from_stars and coverage < settings.dither:
+        raise BadInput(f"the stars are centred in {100 * coverage:.0f} % of the pixel's parts, {100 * settings.dither:.0f} % "
+                       "are the least", mend="use more frames of other pointings, so that the stars fall on all its parts")
 
 
 def _centres(field: FieldPsf, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,7 @@ class SpotShapes:
 
     xy_px (N, 2); moments_px2 (N, 3) s_xx, s_yy, s_xy of the PSF without the pixel; flux_dn (N,); distance_px and light (N, M):
     each window pixel's distance from the centre and its share of the spot's flux (NaN where it cannot be used).
-    rejected: reason -> count. windows: the spots cut out, for the shape's fit.
+    rejected: reason -> count. windows: the spots cut out, for the shape's fit. detected_xy_px (M, 2): usable or not.
     """
 
     xy_px: np.ndarray
@@ -35,6 +35,13 @@ class SpotShapes:
     light: np.ndarray
     rejected: dict[str, int]
     windows: Windows
+    detected_xy_px: np.ndarray
+
+    def take(self, rows: np.ndarray) -> SpotShapes:
+        """The spots of these rows; why others were set aside stays as it was."""
+        arrays = {name: getattr(self, name)[rows] for name in ("xy_px", "moments_px2", "flux_dn", "distance_px", "light")}
+        return SpotShapes(**arrays, rejected=self.rejected, windows=self.windows.take(rows),
+                          detected_xy_px=self.detected_xy_px)
 
 
 def shapes(corrected: CorrectedFrame, image_size_px: tuple[int, int], *, k_sigma: float, least_snr: float,
@@ -91,7 +98,7 @@ def shapes(corrected: CorrectedFrame, image_size_px: tuple[int, int], *, k_sigma
                       floor_dn2=cut(floor, centres, radius, np.nan), xy_px=fit.xy_px[usable], flux_dn=fit.flux_dn[usable],
                       background_dn=fit.background_dn[usable])
     return SpotShapes(xy_px=fit.xy_px[usable], moments_px2=fit.moments_px2[usable], flux_dn=fit.flux_dn[usable],
-                      distance_px=distance, light=light, rejected=rejected, windows=cut_out)
+                      distance_px=distance, light=light, rejected=rejected, windows=cut_out, detected_xy_px=spots.xy_px)
 
 
 def axes_px(moments_px2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
