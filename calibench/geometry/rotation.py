@@ -13,11 +13,12 @@ import numpy as np
 
 def matrix_from_quaternion(q: np.ndarray) -> np.ndarray:
     """(..., 4) unit quaternion (x, y, z, w) -> (..., 3, 3) matrix; q and -q give the same."""
-    x, y, z, w = np.moveaxis(np.asarray(q, float), -1, 0)
+    q = np.asarray(q, float)
+    x, y, z, w = q.tolist() if q.ndim == 1 else np.moveaxis(q, -1, 0)  # floats: numpy costs more than it does here
     rows = [[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
             [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]
-    return np.stack([np.stack(row, -1) for row in rows], -2)
+    return np.array(rows) if q.ndim == 1 else np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:

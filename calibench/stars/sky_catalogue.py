@@ -94,6 +94,8 @@ class SkyCatalogue:
 
     def seen_at(self, rows: np.ndarray, observer: Observer) -> np.ndarray:
         """Directions (M, 3) of these rows as another observer sees them."""
+        if observer is self.observer:
+            return self.directions[rows]
         rest = self._rest
         return Rest(rest.at[rows], rest.motion[rows], rest.parallax[rows], rest.epoch_jyear).seen_by(observer)
 

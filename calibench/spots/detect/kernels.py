@@ -162,6 +162,7 @@ def _flood(data, expected, noise, level, labels, lowest, owner, label, y, x, sta
     """Labels the pixels connected to (x, y); their number; beyond `largest` the rest is left, and what
     touches such light (owner -1) belongs to it."""
     h, w = data.shape
+    sigmas = GROW_SIGMA + level[y // CELL_PX, x // CELL_PX]
     stack[0] = (y << ROW_SHIFT) | x
     labels[y, x] = label
     count, done = 1, 0
@@ -178,7 +179,7 @@ def _flood(data, expected, noise, level, labels, lowest, owner, label, y, x, sta
                         return largest + 1
                     continue
                 # An expectation of NaN, a pixel that is not used, compares as false.
-                if data[j, i] - expected[j, i] > (GROW_SIGMA + level[j // CELL_PX, i // CELL_PX]) * noise[j, i]:
+                if data[j, i] - expected[j, i] > sigmas * noise[j, i]:
                     labels[j, i] = label
                     stack[count] = (j << ROW_SHIFT) | i
                     count += 1
@@ -201,14 +202,14 @@ def _near(labels, y, x, stack):
 @compiled
 def _shape(data, expected, noise, level, stack, count, y, x, row):
     """Fills x, y, peak, flux, pixels, elongation of one spot from its pixels; the place is the mass of its brighter half."""
-    peak = 0.0
+    peak, shift = 0.0, level[y // CELL_PX, x // CELL_PX]
     for k in range(count):
         j, i = stack[k] >> ROW_SHIFT, stack[k] & COLUMN_MASK
-        peak = max(peak, data[j, i] - expected[j, i] - level[j // CELL_PX, i // CELL_PX] * noise[j, i])
+        peak = max(peak, data[j, i] - expected[j, i] - shift * noise[j, i])
     flux = mx = my = core = cx = cy = sxx = syy = sxy = 0.0
     for k in range(count):
         j, i = stack[k] >> ROW_SHIFT, stack[k] & COLUMN_MASK
-        r = max(data[j, i] - expected[j, i] - level[j // CELL_PX, i // CELL_PX] * noise[j, i], 1e-6)
+        r = max(data[j, i] - expected[j, i] - shift * noise[j, i], 1e-6)
         dx, dy = float(i - x), float(j - y)
         flux, mx, my = flux + r, mx + r * dx, my + r * dy
         sxx, syy, sxy = sxx + r * dx * dx, syy + r * dy * dy, sxy + r * dx * dy

@@ -14,11 +14,14 @@ from collections.abc import Callable
 import numpy as np
 
 from ...errors import BadInput
+from .kernels import largest_root
 
 LEAST_SPREAD = 1e-10  # second singular value of B over the first: below it all vectors are one line
-NEWTON_STEPS = 30
 SETTLING_STEPS = 4
 SETTLED = 1e-15
+
+__all__ = ["adjoint", "effective_weights", "k_matrix", "k_parts", "largest_root", "matrix_of_papers_quaternion",
+           "profile_matrix", "settled"]
 
 
 def profile_matrix(camera: np.ndarray, sky: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -70,35 +73,6 @@ def k_matrix(b: np.ndarray) -> np.ndarray:
     z1, z2, z3 = b23 - b32, b31 - b13, b12 - b21
     return np.array([[b11 - b22 - b33, s12, s13, z1], [s12, b22 - b11 - b33, s23, z2], [s13, s23, b33 - b11 - b22, z3],
                      [z1, z2, z3, b11 + b22 + b33]])
-
-
-def largest_root(b: np.ndarray) -> float:
-    """The largest root of K's characteristic polynomial by Newton, from the sum of the weights (1) downwards.
-
-    psi(l) = l^4 - (a + b) l^2 - c l + (a b + c sigma - d), a = sigma^2 - tr adj S, b = sigma^2 + z.z, c = det S + z.S z,
-    d = z.S^2 z. All four roots are real and 1 lies at or above the largest, so the steps go down to it without passing it;
-    they end where psi's slope is lost in rounding (few, noisy stars: a nearly double root), and `settled` does the rest.
-    """
-    s, z, sigma = k_parts(b)
-    (s11, s12, s13), (_, s22, s23), (_, _, s33) = s.tolist()
-    z1, z2, z3 = z.tolist()
-    minors = s22 * s33 - s23 * s23 + s11 * s33 - s13 * s13 + s11 * s22 - s12 * s12  # tr adj S, safe for singular S
-    determinant = s11 * (s22 * s33 - s23 * s23) - s12 * (s12 * s33 - s23 * s13) + s13 * (s12 * s23 - s22 * s13)
-    y1, y2, y3 = (s11 * z1 + s12 * z2 + s13 * z3, s12 * z1 + s22 * z2 + s23 * z3, s13 * z1 + s23 * z2 + s33 * z3)
-    first, second = sigma * sigma - minors, sigma * sigma + z1 * z1 + z2 * z2 + z3 * z3
-    c, d = determinant + z1 * y1 + z2 * y2 + z3 * y3, y1 * y1 + y2 * y2 + y3 * y3
-    constant = first * second + c * sigma - d
-    l = 1.0
-    for _ in range(NEWTON_STEPS):
-        square = l * l
-        slope = 4 * l * square - 2 * (first + second) * l - c
-        if slope <= 0:
-            break
-        step = (square * square - (first + second) * square - c * l + constant) / slope
-        l -= step
-        if abs(step) < SETTLED:
-            break
-    return l
 
 
 def settled(k: np.ndarray, l: float, quaternion_at: Callable[[float], np.ndarray]) -> np.ndarray:

@@ -18,7 +18,7 @@ from ._davenport import (
     profile_matrix,
     settled,
 )
-from .quest import FLIPS
+from .kernels import FLIPS
 
 __all__ = ["attitude", "effective_weights"]
 

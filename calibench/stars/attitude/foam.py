@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...geometry.rotation import nearest_rotation
-from ._davenport import NEWTON_STEPS, SETTLED, SETTLING_STEPS, adjoint, effective_weights, profile_matrix
+from ._davenport import SETTLED, SETTLING_STEPS, adjoint, effective_weights, profile_matrix
+from .kernels import NEWTON_STEPS
 
 __all__ = ["attitude", "effective_weights"]
 
@@ -38,7 +39,7 @@ def attitude(camera: np.ndarray, sky: np.ndarray, weights: np.ndarray) -> np.nda
 
 
 def _largest_root(square: float, determinant: float, minors: float) -> float:
-    """Newton from the sum of the weights (1), as in `_davenport.largest_root`."""
+    """Newton from the sum of the weights (1), as in `kernels.largest_root`."""
     l = 1.0
     for _ in range(NEWTON_STEPS):
         rest = l * l - square

@@ -1,4 +1,5 @@
-"""Compiled: an identified frame against a rotation. Directions through the lens with all derivatives, residuals, covariance."""
+"""Compiled: an identified frame against a rotation (directions through the lens with all derivatives, residuals, covariance),
+and what QUEST and its kin do with the profile matrix B."""
 
 from __future__ import annotations
 
@@ -10,6 +11,8 @@ from ...geometry.kernels import bend_rational, solve3
 from ...kernels import compiled
 
 NEAR_AXIS = 1e-8
+NEWTON_STEPS, ROOT_SETTLED = 30, 1e-15
+FLIPS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])  # diagonals: no turn, and half turns about x, y, z
 
 
 @compiled
@@ -191,3 +194,75 @@ def spread(measured_by_v, weight, covariance_px2, extra_px2, u, by_v, by_p, lens
                 for q in range(3):
                     covariance[i, j] += gain[i, p] * inner[p, q] * gain[j, q]
     return covariance, chi2
+
+
+@compiled
+def _symmetric(b, flip):
+    """Of the columns of B (3, 3) times a flip (3,): sigma; S = B + B' as s11, s22, s33, s12, s13, s23."""
+    d1, d2, d3 = b[0, 0] * flip[0], b[1, 1] * flip[1], b[2, 2] * flip[2]
+    return (d1 + d2 + d3, 2 * d1, 2 * d2, 2 * d3, b[0, 1] * flip[1] + b[1, 0] * flip[0], b[0, 2] * flip[2] + b[2, 0] * flip[0],
+            b[1, 2] * flip[2] + b[2, 1] * flip[1])
+
+
+@compiled
+def _twist(b, flip, s11, s22, s33, s12, s13, s23):
+    """z = (B23 - B32, B31 - B13, B12 - B21) of the flipped B, and S z."""
+    z1, z2 = b[1, 2] * flip[2] - b[2, 1] * flip[1], b[2, 0] * flip[0] - b[0, 2] * flip[2]
+    z3 = b[0, 1] * flip[1] - b[1, 0] * flip[0]
+    return (z1, z2, z3, s11 * z1 + s12 * z2 + s13 * z3, s12 * z1 + s22 * z2 + s23 * z3, s13 * z1 + s23 * z2 + s33 * z3)
+
+
+@compiled
+def _minors_and_determinant(s11, s22, s33, s12, s13, s23):
+    """tr adj S, safe for a singular S, and det S."""
+    minors = s22 * s33 - s23 * s23 + s11 * s33 - s13 * s13 + s11 * s22 - s12 * s12
+    return minors, s11 * (s22 * s33 - s23 * s23) - s12 * (s12 * s33 - s23 * s13) + s13 * (s12 * s23 - s22 * s13)
+
+
+@compiled
+def largest_root(b):
+    """The largest root of K's characteristic polynomial by Newton, from the sum of the weights (1) downwards.
+
+    psi(l) = l^4 - (a + b) l^2 - c l + (a b + c sigma - d), a = sigma^2 - tr adj S, b = sigma^2 + z.z, c = det S + z.S z,
+    d = z.S^2 z. All four roots are real and 1 lies at or above the largest, so the steps go down to it without passing it;
+    they end where psi's slope is lost in rounding (few, noisy stars: a nearly double root), and `settled` does the rest.
+    """
+    sigma, s11, s22, s33, s12, s13, s23 = _symmetric(b, FLIPS[0])
+    z1, z2, z3, y1, y2, y3 = _twist(b, FLIPS[0], s11, s22, s33, s12, s13, s23)
+    minors, determinant = _minors_and_determinant(s11, s22, s33, s12, s13, s23)
+    first, second = sigma * sigma - minors, sigma * sigma + z1 * z1 + z2 * z2 + z3 * z3
+    c, d = determinant + z1 * y1 + z2 * y2 + z3 * y3, y1 * y1 + y2 * y2 + y3 * y3
+    constant = first * second + c * sigma - d
+    l = 1.0
+    for _ in range(NEWTON_STEPS):
+        square = l * l
+        slope = 4 * l * square - 2 * (first + second) * l - c
+        if slope <= 0:
+            break
+        step = (square * square - (first + second) * square - c * l + constant) / slope
+        l -= step
+        if abs(step) < ROOT_SETTLED:
+            break
+    return l
+
+
+@compiled
+def quest_quaternion(l, b, flip):
+    """The papers' quaternion (4,), not yet of unit length, of B turned by a flip, for the eigenvalue l: QUEST's (x, gamma)."""
+    sigma, s11, s22, s33, s12, s13, s23 = _symmetric(b, flip)
+    z1, z2, z3, y1, y2, y3 = _twist(b, flip, s11, s22, s33, s12, s13, s23)
+    minors, determinant = _minors_and_determinant(s11, s22, s33, s12, s13, s23)
+    alpha, r = l * l - sigma * sigma + minors, l - sigma
+    return np.array([alpha * z1 + r * y1 + s11 * y1 + s12 * y2 + s13 * y3, alpha * z2 + r * y2 + s12 * y1 + s22 * y2 + s23 * y3,
+                     alpha * z3 + r * y3 + s13 * y1 + s23 * y2 + s33 * y3, alpha * (l + sigma) - determinant])
+
+
+@compiled
+def best_flip(l, b):
+    """Which of FLIPS has the largest gamma."""
+    best, chosen = -np.inf, 0
+    for k in range(len(FLIPS)):
+        gamma = quest_quaternion(l, b, FLIPS[k])[3]
+        if gamma > best:
+            best, chosen = gamma, k
+    return chosen
