@@ -18,7 +18,7 @@ import numpy as np
 from ..calmap.clusters import with_clusters
 from ..records import CalibrationMap, Frame, Measurement, Provenance
 from ._dark import telegraph
-from ._dark.darkness import check_dark
+from ._dark.darkness import check_dark, high_level
 from ._dark.defects import Fetch, Found, Rules, find_defects
 from ._dark.figures import quantities, read_noise_map
 from ._dark.ladder import Ladder, fit
@@ -165,6 +165,7 @@ def _blind(found: Found, ladder: Ladder, unit: float, settings: Settings, in_ele
 
 def _warnings(ledger: Ledger, ladder: Ladder, temperatures: int) -> tuple[str, ...]:
     out = [w for w in ledger.warnings if temperatures == 1 or not w.startswith("temperature drifted")]
+    out += high_level(float(ladder.levels[-1].levels_dn.mean()), ledger.first.white_level_dn)
     if temperatures > 1:
         spans = [(min(level.celsius), max(level.celsius)) for level in ladder.levels if level.celsius]
         out += [f"temperature drifted from {low:.1f} to {high:.1f} C over the frames of one exposure"

@@ -17,7 +17,7 @@ from ..calmap.clusters import with_clusters
 from ..errors import BadInput
 from ..records import CalibrationMap, Frame, Measurement, Quantity
 from ._dark.below import DarkBelow, MapDark
-from ._dark.darkness import check_dark
+from ._dark.darkness import check_dark, high_level
 from ._defects import defective_lines, flags, planes
 from ._flat.dust import find_dust
 from ._flat.figures import NEED_A_LADDER, Level, gain_quantities, lit, prnu
@@ -59,6 +59,9 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         raise BadInput("no flat frames among the frames", mend="give frames of an evenly lit field; darks alone are for `dark`")
     if darks is not None:
         darks.check(first.white_level_dn)
+        bright = high_level(max(one.level_dn for one in darks.levels), first.white_level_dn)
+    else:
+        bright = ()
     below = darks or MapDark(calmap, first)
     verdicts = [_verdict(v, below.level_dn(v.exposure_s), first, settings) for v in levels]
     usable = [v for v, verdict in zip(levels, verdicts, strict=True) if verdict is None]
@@ -103,7 +106,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
                   "level_saturated": np.array([v.saturated for v in levels]),
                   "dust_xy_px": dust.xy_px, "dust_diameter_px": dust.diameter_px, "dust_depth": dust.depth,
                   "response_histogram_count": counts, "response_histogram_edge": edges},
-        provenance=ledger.provenance(), warnings=_warnings(ledger, verdicts, best, first),
+        provenance=ledger.provenance(), warnings=(*_warnings(ledger, verdicts, best, first), *bright),
         frames_used=sum(v.count for v in usable) + sum(v.count for v in (darks.levels if darks else ())),
         frames_rejected=tuple(ledger.rejected))
     return with_changes(measured, calmap, ("dead", "cold"), "response")
@@ -166,6 +169,8 @@ def _warnings(ledger: Ledger, verdicts: list[str | None], best: Level, first: Fr
     out += [f"left out: {why}" for why in verdicts if why]
     if not (best.dark_origin.startswith("darks of") or best.dark_origin.startswith("dark layers")):
         out.append(f"dark below the flats: {best.dark_origin}")
+    if not best.freedom:
+        out.append("one flat a level: temporal noise unknown, so neither gain nor PRNU; the response holds one frame's noise")
     if best.exposure_s is None:
         out.append("exposure unknown: the dark below the flats may not match them")
     levels_dn = best.levels_dn

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..errors import BadInput
 from ..records import CalibrationMap, Frame, Measurement, Quantity
-from ._dark.darkness import check_dark
+from ._dark.darkness import check_dark, high_level
 from ._dark.limits import MAX_EXPOSURE_S
 from ._frames.ledger import Ledger
 from ._frames.stack import mean_image
@@ -190,6 +190,7 @@ def _warnings(ledger: Ledger, planes: dict[str, Plane], settings: Settings, line
     curve = next(iter(planes.values())).curve
     if first.bit_depth <= 8:
         out.append("8-bit frames: quantisation hides the dark noise and bends the dim end of the curve")
+    out += high_level(float(next(iter(planes.values())).evidence["dark_mean_dn"].max()), first.white_level_dn)
     if curve.fitted.sum() < FEW_LEVELS:
         out.append(f"{curve.fitted.sum()} levels up to 70 % of saturation: the standard wants {FEW_LEVELS} at least")
     if curve.saturation is None:

@@ -10,6 +10,7 @@ from ...spots.background import background_and_noise
 from .._frames.glance import glance
 
 MAX_LEVEL = 0.5  # of the range: beyond it no dark
+HIGH_LEVEL = 0.15  # of the range: darker cameras are the rule, so this is said
 MAX_SATURATED = 0.01
 MAX_STRUCTURE = 0.05  # of the range between dim and bright blocks; amplifier glow stays below
 MAX_STRUCTURE_OF_LEVEL, MAX_STRUCTURE_DN = 0.1, 30.0  # of the level itself, but at least these DN, where the range is not known
@@ -34,6 +35,15 @@ def check_dark(frame: Frame) -> None:
     reason = _why_not(frame)
     if reason:
         raise BadInput(reason, file=frame.file or None, mend=MEND)
+
+
+def high_level(level_dn: float, white_level_dn: float) -> tuple[str, ...]:
+    """What has to be said of darks whose brightest exposure has this mean level: an even light on all of them shows in nothing
+    else."""
+    if level_dn <= HIGH_LEVEL * white_level_dn:
+        return ()
+    return (f"the darks reach {level_dn:.0f} DN of {white_level_dn:.0f}: a high black level, much dark current, or light "
+            "comes in",)
 
 
 def _why_not(frame: Frame) -> str | None:
