@@ -22,6 +22,7 @@ from ..records import CalibrationMap, Frame, Measurement, Quantity
 from ._frames.ledger import Ledger
 from ._gain import known_gain
 from ._psf.chief_rays import chief_ray_shifts, shift_quantity
+from ._psf.colours import MAIN, colour_pixels, lateral_colour, of_colour
 from ._psf.encircled import encircled, encircled_radii
 from ._psf.epsf import Fitted
 from ._psf.faintest import ROUGH_PHASES, exposure_of, least_stars, star_quantities
@@ -74,7 +75,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     """
     settings = settings or Settings()
     ledger = Ledger(settings, "star frames" if settings.from_stars else "pinhole frames")
-    found, rays, focus, warnings = [], [], [], []
+    by_colour, rays, focus, warnings = {}, [], [], []
     for frame in frames:
         if frame.kind in ("dark", "flat"):
             ledger.reject(frame, f"it says that it is a {frame.kind} frame")
@@ -84,28 +85,41 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         applied = calmap or CalibrationMap(image_size_px=frame.image_size_px)
         corrected = correct(frame, applied)
         warnings += corrected.warnings
-        alike = found[focus.index(frame.focus_um)] if frame.focus_um in focus else None
+        for colour, counted in colour_pixels(frame.data.shape, frame.bayer_pattern).items():
+            found = by_colour.setdefault(colour, [])
+            alike = found[focus.index(frame.focus_um)] if frame.focus_um in focus else None
+            found.append(shapes(corrected, frame.image_size_px, k_sigma=settings.k_sigma, least_snr=settings.least_snr,
+                                radius_px=alike.windows.data_dn.shape[1] // 2 if alike else None, counted=counted))
         rays.append(frame.chief_rays_px)
         focus.append(frame.focus_um)
-        found.append(shapes(corrected, frame.image_size_px, k_sigma=settings.k_sigma, least_snr=settings.least_snr,
-                            radius_px=alike.windows.data_dn.shape[1] // 2 if alike else None))
     first = ledger.first
     gain = known_gain(calmap, first)
-    found = moving(found) if settings.from_stars else found
+    if settings.from_stars:
+        by_colour = {colour: moving(found) for colour, found in by_colour.items()}
+    found = next(iter(by_colour.values()), [])
     through, curves = [], {}
     if len(set(focus)) > 1:
         series = _series(found, focus, first.image_size_px)
         through, curves = focus_quantities(series)
         best = series.focus_um[np.argmin(series.sizes_px2)]
         warnings.append(f"a series of {len(series.focus_um)} focus positions: the PSF map is that at {best:g} um")
-        found, rays = ([one for one, z in zip(all_of, focus, strict=True) if z == best] for all_of in (found, rays))
+        here = [i for i, z in enumerate(focus) if z == best]
+        by_colour = {colour: [all_of[i] for i in here] for colour, all_of in by_colour.items()}
+        found, rays = next(iter(by_colour.values())), [rays[i] for i in here]
     _check(found, settings)
     field = over_field(found, first.image_size_px, gain_dn_per_e=gain.dn_per_e, shape_spots=settings.shape_spots,
                        dither=settings.dither, pinhole_px=settings.pinhole_px)
     warnings += _of_spots(found, field)
     radius = found[0].windows.data_dn.shape[1] // 2
-    number = np.repeat(np.arange(len(found)), [len(s.xy_px) for s in found])
+    number = _numbers(found)
     shift = chief_ray_shifts(*_centres(field, number), rays)
+    colours, lateral = [], {}
+    for colour in [name for name in by_colour if name not in ("", MAIN)]:
+        more, apart, said = _of_colour(colour, by_colour[colour], _centres(field, number), gain.dn_per_e, settings,
+                                       first.image_size_px)
+        colours, lateral, warnings = colours + more, lateral | apart, warnings + said
+    if MAIN in by_colour:
+        warnings.append("a colour mosaic: the PSF map, and figures without a colour's suffix, are those of the green pixels")
     curve = encircled(found)
     exposure = exposure_of(calmap, gain, first, exposure_s=settings.star_exposure_s, sky_e_per_px_s=settings.sky_e_per_px_s)
     stars = least_stars(field.psf, radius)
@@ -113,7 +127,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
                   strehl_quantity(field.psf, first, settings.wavelength_um, settings.f_number),
                   shift_quantity(shift, field.psf.centre), core_quantity(field.psf),
                   *star_quantities(exposure, stars, [least_stars(one, radius, ROUGH_PHASES) for one in field.without_part],
-                                   settings.k_sigma, settings.zero_point_mag), *through)
+                                   settings.k_sigma, settings.zero_point_mag), *through, *colours)
     flux = np.concatenate([s.flux_dn for s in found])
     known = np.isfinite(gain.dn_per_e)
     return Measurement(
@@ -123,9 +137,27 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
                   "spot_flux_e" if known else "spot_flux_dn": flux / (gain.dn_per_e if known else 1.0),
                   "encircled_radius_px": curve[0], "encircled_fraction": curve[1]}
         | _shape_evidence(field.fitted) | _field_evidence(field, radius, stars, settings.k_sigma * exposure.noise_e, shift)
-        | curves,
+        | curves | lateral,
         provenance=ledger.provenance(), warnings=_warnings(ledger, [*warnings, *_drawn_out(quantities)], field, calmap),
         frames_used=len(found), frames_rejected=tuple(ledger.rejected))
+
+
+def _numbers(found: list[SpotShapes]) -> np.ndarray:
+    """(N,) number of each spot's frame."""
+    return np.repeat(np.arange(len(found)), [len(s.xy_px) for s in found])
+
+
+def _of_colour(colour: str, found: list[SpotShapes], green: tuple[np.ndarray, np.ndarray], gain_dn_per_e: float,
+               settings: Settings, size: tuple[int, int]) -> tuple[list[Quantity], dict[str, np.ndarray], list[str]]:
+    """Figures of a mosaic's other colour, its shift from green (places, frames), and what to say where its spots are too few."""
+    if sum(len(s.xy_px) for s in found) < settings.least_spots:
+        return [], {}, [f"too few spots for the PSF of the {colour} pixels (set aside: {_listed(_set_aside(found))})"]
+    field = over_field(found, size, gain_dn_per_e=gain_dn_per_e, shape_spots=settings.shape_spots, dither=settings.dither,
+                       pinhole_px=settings.pinhole_px)
+    quantity, evidence = lateral_colour(colour, *_centres(field, _numbers(found)), *green, size)
+    figures = [*spot_quantities(field), *encircled_radii(found, encircled(found), (0.5, 0.8)),
+               *map_quantities(field, found[0].windows.data_dn.shape[1] // 2), core_quantity(field.psf)]
+    return [*of_colour(figures, colour), quantity], evidence, []
 
 
 def _of_spots(found: list[SpotShapes], field: FieldPsf) -> list[str]:

@@ -17,6 +17,7 @@ from .epsf import Windows
 START_SIGMA_PX = 1.0
 SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX = 4, 12
 WORST_ELONGATION = 3.0
+UNSETTLED_PX = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +46,11 @@ class SpotShapes:
 
 
 def shapes(corrected: CorrectedFrame, image_size_px: tuple[int, int], *, k_sigma: float, least_snr: float,
-           radius_px: int | None = None) -> SpotShapes:
+           radius_px: int | None = None, counted: np.ndarray | None = None) -> SpotShapes:
     """Find spots, sort out those that would spoil a shape, fit a free Gaussian to each of the rest.
 
-    radius_px: half width of the windows; None: three sigma of this frame's own spots. The fit integrates the Gaussian over each
+    radius_px: half width of the windows; None: three sigma of this frame's own spots. counted: (H, W) bool, pixels of one
+    colour of a mosaic, the only ones that weigh in the fit (spots are found on all of them). The fit integrates the Gaussian over each
     pixel, so its moments are those of the light before the pixel.
     """
     spots = find_spots(corrected, PsfMap.unknown(image_size_px), k_sigma=k_sigma)
@@ -57,6 +59,8 @@ def shapes(corrected: CorrectedFrame, image_size_px: tuple[int, int], *, k_sigma
     signal = np.where(unusable, 0, corrected.signal_dn - background)
     rough = np.clip(np.rint(spots.xy_px).astype(int), 0, np.array(image_size_px) - 1)
     snr = spots.peak_dn / noise[rough[:, 1], rough[:, 0]]
+
+    unusable = unusable if counted is None else unusable | ~counted
 
     # A first fit in a small window tells the size, the second uses a window of three sigma.
     gain = corrected.gain_dn_per_e
@@ -83,6 +87,9 @@ def shapes(corrected: CorrectedFrame, image_size_px: tuple[int, int], *, k_sigma
         "no point source (fit failed, a single hot pixel, or drawn out)":
             ~fit.converged | (minor < 0.15) | (major > WORST_ELONGATION * np.maximum(minor, 0.3)),
     }
+    if counted is not None:
+        variance = np.maximum(fit.covariance[:, 0, 0], fit.covariance[:, 1, 1])
+        reasons["not settled by the pixels of one colour"] = ~(variance < UNSETTLED_PX**2)
     usable, rejected = np.ones(len(spots), bool), {}
     for reason, bad in reasons.items():
         rejected[reason] = int((usable & bad).sum())
