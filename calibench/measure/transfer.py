@@ -144,8 +144,13 @@ def _refuse_swapped(lit: list[Level], dark: list[Level]) -> None:
 
 def _image(gathered: Levels, plane: int, dark: bool) -> Image | None:
     stack = gathered.stacks.get(dark)
-    return None if stack is None else Image(mean_dn=mean_image(stack.totals[plane], stack.levels[plane].count),
-                                             level=stack.levels[plane])
+    if stack is None:
+        return None
+    level = stack.levels[plane]
+    base_dn = round(level.mean_dn)
+    above = stack.totals[plane].astype(np.int32)
+    above -= base_dn * level.count
+    return Image(base_dn=base_dn, above_dn=mean_image(above, level.count), level=level)
 
 
 def _all_planes(planes: dict[str, Plane]) -> tuple[Quantity, ...]:

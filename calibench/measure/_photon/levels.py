@@ -136,8 +136,8 @@ class Levels:
         """
         seen = glance(frame)
         if seen.values.dtype != np.uint16:
-            raise BadInput(f"pixel values from {seen.smallest} to {seen.largest} DN do not fit 16 bits", file=frame.file or None,
-                           mend="give frames as the camera made them, not scaled or subtracted copies")
+            raise BadInput(f"pixel values from {seen.smallest} to {seen.largest} DN do not fit 16 bits",
+                           file=frame.file or None, mend="give frames as the camera made them, not scaled or subtracted copies")
         key = self._key(frame, photons, seen.level_dn)
         planes = self._open.setdefault(key, [_Open() for _ in self._places])
         self._open.move_to_end(key)

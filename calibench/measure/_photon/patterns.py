@@ -14,7 +14,7 @@ def spectrogram(filtered: np.ndarray) -> np.ndarray:
     White noise of variance s^2 lies at s. Transpose the image for the columns.
     """
     h, n = filtered.shape
-    waves = cv2.dft(np.ascontiguousarray(filtered, np.float32), flags=cv2.DFT_ROWS)  # each row: 0, then real and imaginary parts
+    waves = cv2.dft(np.ascontiguousarray(filtered, np.float32), flags=cv2.DFT_ROWS)  # each row: mean, real, imaginary, ...
     squares = np.einsum("ij,ij->j", waves, waves) / (h * n)
     power = np.zeros(n // 2 + 1)
     power[0] = squares[0]

@@ -20,9 +20,10 @@ R4 = "EMVA 1288 R4 Linear, "
 
 @dataclass(frozen=True, kw_only=True)
 class Image:
-    """Mean image (H, W) of a stack and the level that it is of."""
+    """Mean image (H, W) float32 of a stack above a whole number of DN, so that single precision is enough, and its level."""
 
-    mean_dn: np.ndarray
+    base_dn: int
+    above_dn: np.ndarray
     level: Level
 
     @property
@@ -140,9 +141,9 @@ def _patterns(out: _Sheet, dark: Image | None, bright: Image | None, gain: Figur
     for what, image in (("dark", dark), ("bright", bright)):
         if image is None:
             continue
-        filtered = spatial.high_pass(image.mean_dn)
+        filtered = spatial.high_pass(image.above_dn)
         t = image.temporal_dn2
-        raw, passed = (spatial.split(i, t, filtered=f) for i, f in ((image.mean_dn, False), (filtered, True)))
+        raw, passed = (spatial.split(i, t, filtered=f) for i, f in ((image.above_dn, False), (filtered, True)))
         found[what] = {"raw": vars(raw), "1288": vars(passed), "core": {"total": spatial.spatial_core(filtered, t, passed)}}
         shown |= _shown(what, image, filtered)
     reason = "no dark frames at which the pattern could be read" if dark is None else "no lit stack"
@@ -173,8 +174,8 @@ def _shown(what: str, image: Image, filtered: np.ndarray) -> dict[str, np.ndarra
     return {f"{what}_spectrum_rows_dn": patterns.spectrogram(filtered),
             f"{what}_spectrum_columns_dn": patterns.spectrogram(filtered.T),
             f"{what}_temporal_dn": np.array([np.sqrt(spatial.NOISE_GAIN * image.temporal_dn2)]),
-            f"{what}_profile_rows_dn": patterns.profiles(image.mean_dn),
-            f"{what}_profile_columns_dn": patterns.profiles(image.mean_dn.T),
+            f"{what}_profile_rows_dn": image.base_dn + patterns.profiles(image.above_dn),
+            f"{what}_profile_columns_dn": image.base_dn + patterns.profiles(image.above_dn.T),
             f"{what}_histogram_count": counts, f"{what}_histogram_edge_dn": edges,
             f"{what}_accumulated_dn": deviation, f"{what}_accumulated_percent": percent}
 
