@@ -35,6 +35,12 @@ def test_too_few_levels(light_ladder):
     assert any("wants 9 at least" in w for w in few.warnings)
 
 
+def test_a_ladder_in_too_much_light_is_told_how_much_would_be_right(light_ladder):
+    frames = (dataclasses.replace(f, photons_per_px=None) for f in light_ladder(2, levels=10, stack=0, reach=4.0))
+    with pytest.raises(BadInput, match="0.0036 s would be right|0.0035 s would be right"):
+        transfer.measure(frames)
+
+
 def test_swapped_folders(light_ladder):
     swap = {"flat": "dark", "dark": "flat"}
     with pytest.raises(BadInput, match="dark"):

@@ -7,7 +7,7 @@ import numpy as np
 from ...errors import BadInput
 from .._dark.limits import MAX_RATE_E_PER_S, QUANTISATION_DN2
 from .._transfer import BEYOND_CHANCE, Line, line, variance_line
-from .curve import Curve, Darks
+from .curve import FITTED_FILL, Curve, Darks
 from .figure import Figure
 
 MIN_LEVELS = 3
@@ -25,7 +25,8 @@ def gain(curve: Curve) -> tuple[Figure, Line]:
     """
     fitted = curve.fitted
     if fitted.sum() < MIN_LEVELS:
-        raise BadInput(f"{fitted.sum()} light levels lie below 70 % of saturation; the gain needs {MIN_LEVELS}",
+        raise BadInput(f"{fitted.sum()} light levels lie below 70 % of saturation, the gain needs {MIN_LEVELS}; the dimmest "
+                       f"has {curve.mean_dn[0]:.0f} DN of {curve.top_dn:.0f}{_most(curve)}",
                        mend="take a ladder of about 50 (at least 9) even steps from dark to saturation, two frames each")
     found = variance_line(*(values[fitted] for values in (
         curve.signal_dn, curve.variance_dn2, np.maximum(curve.variance_error_dn2, 1e-12), curve.noise_dn2)))
@@ -35,6 +36,14 @@ def gain(curve: Curve) -> tuple[Figure, Line]:
     bend = _bend_percent(curve.signal_dn[fitted], curve.variance_dn2[fitted], found.slope)
     how = "" if found.weighted else f"levels scatter about the line beyond their errors (chi2/dof {found.chi2:.1f})"
     return Figure(found.slope, found.slope_error, how + (f"; local slopes differ by {bend:.1f} %" if how else "")), found
+
+
+def _most(curve: Curve) -> str:
+    """The light at which the range would be full, as the dimmest level has it; it is less where that is clipped itself."""
+    if not curve.light_unit or curve.signal_dn[0] <= 0:
+        return ""
+    full = curve.light[0] * (curve.top_dn - curve.mean_dn[0] + curve.signal_dn[0]) / curve.signal_dn[0]
+    return f": at most {FITTED_FILL * full:.2g} {curve.light_unit} would be right"
 
 
 def _bend_percent(signal: np.ndarray, variance: np.ndarray, slope: float) -> float:
