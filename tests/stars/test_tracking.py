@@ -56,9 +56,10 @@ def exposed(light_dn, rng, exposure_s=0.1):
                  exposure_s=exposure_s)
 
 
-def view(sky, matrix, rng, rate=(0.0, 0.0, 0.0), exposure_s=0.1, lens=LENS):
-    """A frame of the sky at mid-exposure attitude `matrix`, turning at `rate` (camera axes)."""
-    smeared = np.linalg.norm(rate) * exposure_s * 1000 > 0.5
+def view(sky, matrix, rng, rate=(0.0, 0.0, 0.0), exposure_s=0.1, lens=LENS, least_smear_px=0.7):
+    """A frame of the sky at mid-exposure attitude `matrix`, turning at `rate` (camera axes); as at one instant where stars move
+    by less than least_smear_px."""
+    smeared = np.linalg.norm(rate) * exposure_s * lens.fx_px > least_smear_px
     instants = (np.arange(15) + 0.5) / 15 - 0.5 if smeared else [0.0]
     light = np.zeros(SHAPE)
     for instant in instants:

@@ -73,7 +73,7 @@ class Expecting:
         radius = min(max(math.ceil(SIGMAS * sigma + longest / 2), 2), LARGEST_RADIUS_PX)
         centre = np.rint(xy_px).astype(np.int64)
         cut_out = layers.windows(data, centre, reach_px + radius)
-        gain = float(np.nan_to_num(layers.gain_dn_per_e))
+        gain = layers.gain_dn_per_e if layers.gain_dn_per_e == layers.gain_dn_per_e else 0.0
         found = locate(cut_out.signal_dn, cut_out.defects, UNUSABLE_PIXEL, layers.read_variance_at(centre), gain, reach_px,
                        radius)
         seen = np.flatnonzero(found[:, 0] == found[:, 0])
