@@ -103,10 +103,10 @@ def _print(result: object) -> None:
     story = result.story
     rows = [(f"{v.limit.measurement}.{v.limit.quantity}", number(v.value, 4), v.status, v.reason) for v in story.verdicts]
     print(table(("limit", "value", "status", "reason"), rows))
-    if story.ablation:
+    if trial := story.trials.get("ablation"):
         print("\nWhat each layer of the map earned\n")
-        print(table(story.ablation.columns, story.ablation.rows))
-        print(f"\n{story.ablation.reading}")
+        print(table(trial.columns, trial.rows))
+        print(f"\n{trial.reading}")
     for warning in story.calmap.warnings:
         say(f"warning: {warning}")
     print(f"\nmap      {result.map_path}\nresults  {result.results_path}\nreport   {result.report_path}")

@@ -130,7 +130,9 @@ def validate(frames: Frames,
                                                              "matched stars is the measure.")] = None,
              trial: Annotated[str, typer.Option(help="Which trial.")] = "ablation", identify: Identify = "pattern",
              attitude: AttitudeName = "quest", detector: Detector = "scan", centroid: Centroid = "psf_map",
-             k_sigma: KSigma = None, false_alarms: FalseAlarms = 1.0, json_: Json = False) -> None:
+             k_sigma: KSigma = None, false_alarms: FalseAlarms = 1.0,
+             report: Annotated[Path | None, typer.Option(help="Also write an HTML report of the trial.")] = None,
+             json_: Json = False) -> None:
     """What each layer of a map earns, in arcseconds, on sky frames."""
     from .. import registry
     from ..calmap.conditions import outside_conditions
@@ -155,6 +157,9 @@ def validate(frames: Frames,
         count, total = iter(range(1, 10**9)), len(cases) * len(module.variants(calmap))
         found, _ = module.trial(cases, calmap, lambda case: sky.finder(case.frame.date_obs), settings,
                                 lambda: tell("solve", next(count), total))
+    if report:
+        from ..session.series_report import write_trial_report
+        write_trial_report(report, found, calmap)
     outside = {case.frame.name: list(said) for case in cases if (said := outside_conditions(case.frame, calmap))}
     if json_:
         print_json(trial_json(found) | {"map": str(map_), "map_outside_conditions": outside})

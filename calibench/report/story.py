@@ -44,7 +44,7 @@ class SkyStory:
 
 @dataclass(frozen=True, kw_only=True)
 class Story:
-    """shots in the protocol's order; measurements by name; star_names: HIP -> text to print beside a star.
+    """shots in the protocol's order; measurements and trials by name; star_names: HIP -> text to print beside a star.
     series: the solutions of a series of sky frames in their order, where their images are not kept (else those of `sky`)."""
 
     title: str
@@ -57,6 +57,6 @@ class Story:
     verdicts: tuple[Verdict, ...] = ()
     sky: tuple[SkyStory, ...] = ()
     series: tuple[Solution, ...] = ()
-    ablation: Trial | None = None
+    trials: Mapping[str, Trial] = field(default_factory=dict)
     star_names: Mapping[int, str] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)

@@ -97,8 +97,8 @@ def run_session(session: Path, out: Path, tell: Tell = lambda stage, done, total
     seconds["sky and ablation"] = perf_counter() - clock
 
     story = Story(title=protocol.protocol.name, why=protocol.protocol.why, created=calmap.created, software=calmap.software,
-                  calmap=calmap, shots=shots, measurements=measurements, verdicts=verdicts, sky=sky_stories, ablation=trial,
-                  star_names=STAR_NAMES, seconds=seconds)
+                  calmap=calmap, shots=shots, measurements=measurements, verdicts=verdicts, sky=sky_stories,
+                  trials={trial.name: trial} if trial else {}, star_names=STAR_NAMES, seconds=seconds)
     ok = all(v.status != "fail" for v in verdicts) and all(s.calibrated.status == "solved" for s in sky_stories)
     tell("write report", 0, 1)
     page = build_report(story)
@@ -156,5 +156,5 @@ def _results(story: Story, solved: list[dict], ok: bool) -> dict:
             "shots": [vars(shot) | {"remarks": list(shot.remarks)} for shot in story.shots],
             "measurements": {name: measurement_json(m) for name, m in story.measurements.items()},
             "verdicts": [verdict_json(v) for v in story.verdicts], "frames": solved,
-            "ablation": trial_json(story.ablation) if story.ablation else None,
+            "ablation": trial_json(story.trials["ablation"]) if story.trials else None,
             "warnings": list(story.calmap.warnings), "seconds": {k: round(v, 3) for k, v in story.seconds.items()}}

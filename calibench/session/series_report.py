@@ -1,4 +1,4 @@
-"""The report of a series of sky frames that belong to no session."""
+"""Reports that belong to no session: of a series of sky frames, of a trial."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from ..records import CalibrationMap
 from ..report.build import build_report
 from ..report.story import Story
 from ..stars.solve import Solution
+from ..validate.case import Trial
 
 
 def write_series_report(path: Path, solutions: Sequence[Solution], calmap: CalibrationMap | None) -> None:
@@ -26,4 +27,16 @@ def write_series_report(path: Path, solutions: Sequence[Solution], calmap: Calib
     story = Story(title="Sky series", why=f"{len(solved)} of {len(solutions)} sky frames solved.",
                   created=datetime.now(UTC).isoformat(timespec="seconds"), software=f"calibench {__version__}",
                   calmap=calmap or CalibrationMap(image_size_px=size), series=tuple(solutions))
+    atomic.write_bytes(path, build_report(story).encode())
+
+
+def write_trial_report(path: Path, trial: Trial, calmap: CalibrationMap) -> None:
+    """Write the HTML report of one trial and of the map that it was made with.
+
+    Raises:
+        BadInput: the file cannot be written.
+    """
+    story = Story(title=f"Trial {trial.name}", why=f"{trial.reading[:1].upper()}{trial.reading[1:]}.",
+                  created=datetime.now(UTC).isoformat(timespec="seconds"), software=f"calibench {__version__}", calmap=calmap,
+                  trials={trial.name: trial})
     atomic.write_bytes(path, build_report(story).encode())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from ..stars.sky_catalogue import SkyCatalogue
 from ..stars.solve import STAGES, Solution, Solver
 from .reading import read_or_reason
 
+FIELD_OFF = 0.1  # of the field given: a frame so far off is told, also where it was solved
 EXPLAINED = 3  # frames of a series that are searched once more, in vain, for a wrong field
 
 
@@ -70,7 +72,7 @@ class Sky:
         solution = solver.solve(frame, layers, fov_rad=fov_rad, observer=observer)
         return SolvedFrame(frame=frame, observer=observer, outside=outside_conditions(frame, layers),
                            solution=replace(solution, timings_s={"read": read_s} | solution.timings_s),
-                           warnings=correction_warnings(frame, layers))
+                           warnings=correction_warnings(frame, layers) + _other_field(solution, fov_rad))
 
     def map_for(self, frame: Frame, calmap: CalibrationMap | None) -> CalibrationMap:
         """The map, or one of nothing where there is none: the same for all frames of a size, so that they are a series."""
@@ -84,6 +86,14 @@ class Sky:
             self.solvers[key] = Solver(finder=finder, **settings)
         self.solvers[key].finder = finder
         return self.solvers[key]
+
+
+def _other_field(solution: Solution, fov_rad: float | None) -> tuple[str, ...]:
+    """What is to be said where a frame was solved though its field is not the one that was given."""
+    if fov_rad is None or solution.status != "solved" or abs(solution.fov_rad / fov_rad - 1) < FIELD_OFF:
+        return ()
+    there, given = math.degrees(solution.fov_rad), math.degrees(fov_rad)
+    return (f"the field is {there:.1f} degrees across, {given:.1f} were given",)
 
 
 def _unread(path: Path, fault: BadInput, method: str) -> SolvedFrame:

@@ -11,6 +11,8 @@ from ..records import Frame
 from ..records.arrays import frozen, settle
 from ..stars.solve import Solution
 
+ARCSEC = 180 * 3600 / np.pi
+
 
 @dataclass(frozen=True, kw_only=True)
 class SkyTruth:

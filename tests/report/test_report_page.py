@@ -147,7 +147,7 @@ def story() -> Story:
     return Story(title="Camera seven", why="before delivery", created="2025-01-02", software="calibench 0", calmap=calmap,
                  shots=(ShotStory(name="flats", folder="flats", what="lit field", why="response", wanted=30, found=6,
                                   status="fail", remarks=("six only",)),),
-                 measurements={m.name: m for m in measurements}, ablation=trial, star_names={11: "Firststar"},
+                 measurements={m.name: m for m in measurements}, trials={"ablation": trial}, star_names={11: "Firststar"},
                  verdicts=(Verdict(limit=limit, status="fail", value=1.2, uncertainty=0.02, reason="1.2 DN/s is above 1"),),
                  sky=(SkyStory(name="sky_a", signal_dn=rng.normal(0, 1, (H, W)), raw=solution(rng, "no_match"),
                                calibrated=solution(rng), truth=truth, catalogue=catalogue),

@@ -13,7 +13,7 @@ UNITS = ("_px", "_arcsec")
 
 
 def render(story: Story) -> Section | None:
-    trial = story.ablation
+    trial = story.trials.get("ablation")
     if trial is None or not trial.rows:
         return None
     heads = tuple(_head(column) for column in trial.columns)

@@ -15,9 +15,8 @@ from ...calmap.assemble import LAYER_GROUPS, without_layer
 from ...records import CalibrationMap
 from ...stars.lost_in_space import LostInSpace
 from ...stars.solve import Solution, Solver
-from ..case import SkyCase, Trial, cross_error_rad, roll_error_rad
+from ..case import ARCSEC, SkyCase, Trial, cross_error_rad, roll_error_rad
 
-ARCSEC = 180 * 3600 / np.pi
 RAW, WHOLE = "no map", "whole map"
 COLUMNS = ("map", "frames", "solved", "wrong", "matches", "residual_px", "error_arcsec", "roll_error_arcsec", "earned_arcsec")
 WRONG_RAD = np.radians(0.5)  # a solved frame farther off than this is not inaccurate but wrong
