@@ -59,20 +59,19 @@ class SkyLevel:
         broken = ((layers.defects & UNUSABLE) != 0) | ~np.isfinite(corrected.signal_dn)
         background, noise = background_and_noise(corrected.signal_dn, blind)
         restless = busy_area(noise)
-        signal, response = corrected.signal_dn - background, layers.response
+        signal, response, slope = corrected.signal_dn - background, layers.response, _slope(data, layers, calmap)
         whole = data.dtype.kind == "u"
         if {"gain_dn_per_e", "read_noise_dn"} <= calmap.measured:
-            # The map's variance with the sky in place of the pixel's own light, scaled to what the frame shows.
-            sky_dn2 = corrected.variance_dn2 - np.float32(calmap.gain_dn_per_e) * signal / response
-            variance = np.maximum(sky_dn2, layers.read_variance_dn2 / response**2)
-            predicted = np.sqrt(variance)
+            # The map's variance of the sky alone, scaled to what the frame shows.
+            charge = np.maximum(background * response + layers.dark_dn, 0)
+            predicted = np.sqrt(slope**2 * layers.read_variance_dn2 + np.float32(calmap.gain_dn_per_e) * charge) / response
             _, scale = background_and_noise(signal / predicted, blind, floor=LEAST_NOISE)
             noise = predicted * scale
             typical = float(np.sqrt(np.median(layers.read_variance_dn2[::4, ::4])))
             law = NoiseLaw(step_dn=calmap.gain_dn_per_e, normal_dn=typical, whole_dn=whole)
         else:
             law = NoiseLaw(step_dn=step_from_skewness(signal, noise, blind), whole_dn=whole)
-        raw = response / _slope(data, layers, calmap)  # raw DN that stand for one corrected DN of the sky
+        raw = response / slope  # raw DN that stand for one corrected DN of the sky
         # Raw value at which the corrected frame would show its background; the frame's own noise falls out of the difference.
         expected = np.where(broken, np.float32(np.nan), data - np.where(broken, np.float32(0), signal) * raw)
         thresholds = threshold_map(expected, noise * raw, data.dtype)
