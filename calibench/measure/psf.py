@@ -149,7 +149,7 @@ def _numbers(found: list[SpotShapes]) -> np.ndarray:
 
 def _of_colour(colour: str, found: list[SpotShapes], green: tuple[np.ndarray, np.ndarray], gain_dn_per_e: float,
                settings: Settings, size: tuple[int, int]) -> tuple[list[Quantity], dict[str, np.ndarray], list[str]]:
-    """Figures of a mosaic's other colour, its shift from green (places, frames), and what to say where its spots are too few."""
+    """Figures of a mosaic's other colour, its shift from green (places, frames), and what to say where spots are too few."""
     if sum(len(s.xy_px) for s in found) < settings.least_spots:
         return [], {}, [f"too few spots for the PSF of the {colour} pixels (set aside: {_listed(_set_aside(found))})"]
     field = over_field(found, size, gain_dn_per_e=gain_dn_per_e, shape_spots=settings.shape_spots, dither=settings.dither,

@@ -50,7 +50,7 @@ def shapes(corrected: CorrectedFrame, image_size_px: tuple[int, int], *, k_sigma
     """Find spots, sort out those that would spoil a shape, fit a free Gaussian to each of the rest.
 
     radius_px: half width of the windows; None: three sigma of this frame's own spots. counted: (H, W) bool, pixels of one
-    colour of a mosaic, the only ones that weigh in the fit (spots are found on all of them). The fit integrates the Gaussian over each
+    colour of a mosaic, the only ones that weigh in the fit (spots are found on all). The fit integrates the Gaussian over each
     pixel, so its moments are those of the light before the pixel.
     """
     spots = find_spots(corrected, PsfMap.unknown(image_size_px), k_sigma=k_sigma)

@@ -12,6 +12,8 @@ from ..numbers import number, percent, plural
 from ..section import Figure, Section
 from ..story import Story
 from ..tables import quantity_table
+from ._psf_series import focus_figure, stars_figure
+from ._spot_bias import bias_figure
 
 ORDER = 50
 TITLE = "Point spread function"
@@ -26,8 +28,8 @@ def render(story: Story) -> Section | None:
     if measurement is None or measurement.psf is None:
         return None
     psf = measurement.psf
-    figures = (_ellipses(psf), _width(psf), _ellipticity(psf), _stamps(psf), _encircled(measurement),
-               _residuals(measurement))
+    figures = (_ellipses(psf), _width(psf), _ellipticity(psf), _stamps(psf), _encircled(measurement), bias_figure(psf),
+               focus_figure(measurement), stars_figure(measurement), _residuals(measurement))
     spots = plural(len(psf.measured_xy_px), "spot")
     summary = (f"Moments as a polynomial of degree {psf.degree} over the field, from {spots}; "
                f"they scatter about it by {number(psf.residual_rms_px2, 2)} px² (rms). A centroid through this map means: "
