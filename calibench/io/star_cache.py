@@ -20,6 +20,7 @@ import numpy as np
 
 from ..errors import BadInput
 from . import atomic
+from .star_table import array_hash
 
 BUILDERS = Path(__file__).parents[1] / "stars"
 LARGEST_BYTES = 200_000_000
@@ -39,14 +40,6 @@ def _builders_hash() -> str:
     return digest.hexdigest()
 
 
-def _hash(arrays: dict[str, np.ndarray]) -> str:
-    digest = hashlib.sha256(_builders_hash().encode())
-    for name, array in arrays.items():
-        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        digest.update(np.ascontiguousarray(array).data)
-    return digest.hexdigest()
-
-
 def kept(name: str, table: type[NamedTuple], build: Callable[[], NamedTuple]) -> NamedTuple:
     """The table of that name from the cache; where it is absent or not to be trusted it is built and written there.
 
@@ -62,7 +55,7 @@ def kept(name: str, table: type[NamedTuple], build: Callable[[], NamedTuple]) ->
     built = build()
     arrays = {field: np.asarray(value) for field, value in built._asdict().items()}
     content = io.BytesIO()
-    np.savez(content, hash=_hash(arrays), **arrays)
+    np.savez(content, hash=array_hash(_builders_hash(), arrays), **arrays)
     try:
         atomic.make_folder(path.parent)
         atomic.write_bytes(path, content.getvalue())
@@ -76,6 +69,6 @@ def _read(path: Path, table: type[NamedTuple]) -> NamedTuple:
         raise ValueError("too large")
     with np.load(path, allow_pickle=False) as file:
         arrays = {field: file[field] for field in table._fields}
-        if str(file["hash"]) != _hash(arrays):
+        if str(file["hash"]) != array_hash(_builders_hash(), arrays):
             raise ValueError("of another version, or damaged")
     return table(**arrays)

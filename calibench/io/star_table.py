@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -60,9 +61,13 @@ def write_star_table(path: Path, table: StarTable) -> str:
 
 def table_hash(table: StarTable) -> str:
     """SHA-256 over a table's epoch, source and columns."""
-    digest = hashlib.sha256(f"{table.epoch_jyear} {table.source}".encode())
-    for name in COLUMNS:
-        column = np.ascontiguousarray(getattr(table, name))
-        digest.update(f"{name} {column.dtype.str} {column.shape}".encode())
-        digest.update(column.tobytes())
+    return array_hash(f"{table.epoch_jyear} {table.source}", {name: getattr(table, name) for name in COLUMNS})
+
+
+def array_hash(head: str, arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 over a text and named arrays, their types and shapes."""
+    digest = hashlib.sha256(head.encode())
+    for name, array in arrays.items():
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from ..errors import BadInput
 from ..geometry import sphere
 from ..records import StarTable
+from .circles import fibonacci_sphere
 
 VIEWS = 20_000
 FEWEST_STARS = 4  # that an identification needs
@@ -98,9 +99,6 @@ def _merge(table: StarTable, part_rad: float) -> tuple[StarTable, list[Merged]]:
 
 
 def _stars_in_view(table: StarTable, radius_rad: float) -> np.ndarray:
-    """Stars within radius_rad of VIEWS boresights along a spiral that covers the sphere evenly."""
-    k = np.arange(VIEWS)
-    height = 1 - (2 * k + 1) / VIEWS
-    boresights = sphere.unit_from_radec(k * np.pi * (3 - np.sqrt(5)), np.arcsin(height))
+    """Stars within radius_rad of VIEWS boresights spread evenly over the sky."""
     tree = cKDTree(sphere.unit_from_radec(table.ra_rad, table.dec_rad))
-    return tree.query_ball_point(boresights, 2 * np.sin(radius_rad / 2), return_length=True)
+    return tree.query_ball_point(fibonacci_sphere(VIEWS), 2 * np.sin(radius_rad / 2), return_length=True)

@@ -8,7 +8,7 @@
                            F d = sum a_i u_i x e_i,   F = sum a_i (I - u_i u_i'),
                            P = F^-1 (sum a_i^2 [u_i]x S_i [u_i]x') F^-1.
    It is honest for any weights, the best ones or not. Where the smallest chi^2 that any rotation could reach says that the
-   stars miss by more than their errors (beyond SURPRISE sigma of chance), P is scaled by chi^2 over the degrees of freedom.
+   stars miss by more than their errors (beyond 3 sigma of chance), P is scaled by chi^2 over the degrees of freedom.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from ..geometry import kernels as geometry_kernels
 from ..geometry import projection, rotation
 from ..records import Attitude, Identification
 from .attitude import kernels
+from .kernels import widening
 from .per_lens import lens_terms
 from .view import CALIBRATED_MODEL_SD_PX, GUESSED_MODEL_SD_PX
 
 OUTLIER_SIGMA = 5.0
 FEWEST_STARS = 4
 MOST_REJECTED = 0.25  # of the stars: where more of them miss, the frame's errors are larger than stated and no star is to blame
-SURPRISE = 3.0
 LARGEST_SD_RAD = 0.1  # a rotation less sure than this about some axis is not observed
 NOTHING = np.zeros((0, 0))
 NOTHING.flags.writeable = False  # as a record's arrays are: one compiled form serves both
@@ -91,7 +91,7 @@ def find_attitude(found: Identification, method: str, *, calibrated: bool) -> At
     covariance, chi2 = kernels.spread(measured_by_v, module.effective_weights(v, weight), own, 0.0 if calibrated else model, u,
                                       by_v, by_p, expected, residual)
     freedom = max(2 * len(residual) - 3, 1)
-    scale = chi2 / freedom if chi2 > freedom + SURPRISE * np.sqrt(2 * freedom) else 1.0
+    scale = widening(chi2, freedom)
     return Attitude(status="solved", method=method, q_cam_icrs=rotation.quaternion_from_matrix(matrix),
                     covariance_rad2=covariance * scale, residual_px=residual)
 

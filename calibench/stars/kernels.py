@@ -18,6 +18,7 @@ LEAST_SUPPORT = 2
 SUPPORT_STARS = 60  # in a field, among which they are sought
 STARS_PER_SPOT = 1.5
 FEWEST_STARS = 25
+SURPRISE_SIGMA = 3.0  # by which chi^2 has to exceed its expectation before it widens a covariance
 NEARBY = 0.2  # of the half diagonal: what counts as the neighbourhood of a spot where stars may flock
 
 
@@ -123,6 +124,15 @@ def tail(chances, least):
             mass[s] = mass[s] * (1 - p) + mass[s - 1] * p
         mass[0] *= 1 - p
     return min(reached, 1.0)
+
+
+@compiled
+def widening(chi2, freedom):
+    """What a covariance is to be multiplied by: chi^2 over its degrees of freedom where that is a surprise, else 1.
+
+    A scale taken from every frame would be too large on average.
+    """
+    return chi2 / freedom if chi2 > freedom + SURPRISE_SIGMA * np.sqrt(2.0 * freedom) else 1.0
 
 
 @compiled

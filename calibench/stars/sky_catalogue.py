@@ -107,24 +107,3 @@ class SkyCatalogue:
     def near(self, direction: np.ndarray, radius_rad: float) -> np.ndarray:
         """Rows of the stars within radius_rad of a direction (3,), brightest first."""
         return np.sort(self.tree.query_ball_point(direction, 2 * np.sin(min(radius_rad, np.pi) / 2)))
-
-
-def merged(table: StarTable, separation_rad: float) -> SkyCatalogue:
-    """The sky at rest with stars closer than separation_rad made one, as a camera of that resolution sees them.
-
-    Each stands at its stars' centre of light with their light together; its entry of the table is the brightest of them.
-    """
-    sky = SkyCatalogue.seen_by(table, Observer())
-    light = 10 ** (-0.4 * sky.magnitude)
-    whole, moment, into = light.copy(), sky.directions * light[:, None], np.arange(len(light))
-    for bright, faint in sorted(map(sorted, sky.tree.query_pairs(2 * np.sin(separation_rad / 2)))):
-        if into[faint] == faint and into[bright] == bright:  # rows ascend with magnitude: the fainter joins the brighter
-            into[faint] = bright
-            whole[bright] += light[faint]
-            moment[bright] += sky.directions[faint] * light[faint]
-    kept = into == np.arange(len(light))
-    directions = moment[kept] / np.linalg.norm(moment[kept], axis=1, keepdims=True)
-    magnitude = -2.5 * np.log10(whole[kept])
-    order = np.argsort(magnitude, kind="stable")
-    return SkyCatalogue(table=sky.table.take(np.flatnonzero(kept)[order]), observer=sky.observer, directions=directions[order],
-                        magnitude=magnitude[order])

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from calibench.errors import BadInput
-from calibench.geometry import sphere
 from calibench.io.star_table import load_star_table
 from calibench.records import CalibrationMap, Intrinsics, Observer
 from calibench.stars.lost_in_space import LostInSpace
-from calibench.stars.sky_catalogue import SkyCatalogue, merged
+from calibench.stars.sky_catalogue import SkyCatalogue
 from calibench.validate.trials import tolerance
 
 
@@ -39,15 +38,3 @@ def test_pattern_survives_ten_percent_of_a_pixel_and_area_moment_reaches_its_cei
 def test_without_a_lens_it_says_so(sky):
     with pytest.raises(BadInput, match="lens"):
         tolerance.trial([None], CalibrationMap(image_size_px=(752, 480)), lambda case: LostInSpace(sky=sky))
-
-
-def test_doubles_are_merged_at_their_light(sky):
-    one = merged(sky.table, 1e-4)
-    apart = one.tree.query(one.directions, k=2)[0][:, 1]
-    assert len(one.directions) < len(sky.directions) and apart.min() > 0.5e-4
-    assert (np.diff(one.magnitude) >= 0).all()
-    castor_like = np.flatnonzero(one.magnitude < one.table.hp_mag - 0.1)
-    assert len(castor_like) > 10  # a pair shines brighter than its brighter star
-    row = castor_like[0]
-    itself = np.flatnonzero(sky.table.hip == one.table.hip[row])[0]
-    assert 0 < sphere.angle_between(sky.directions[itself], one.directions[row]) < 1e-4

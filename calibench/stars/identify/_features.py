@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from ..circles import brightest_groups, unique_rows
 from ..code_table import CodeTable
 from ..sky_catalogue import SkyCatalogue
 from ..view import TOLERANCE_SIGMA, View
@@ -25,9 +24,7 @@ MOST_CELLS = 6  # across which a tolerance may reach: a code that is less sure s
 
 def triangles(sky: SkyCatalogue, half_diagonal_rad: float) -> np.ndarray:
     """(G, 3) star rows, those of the default's table; the sides opposite the corners ascend."""
-    half = min(half_diagonal_rad, np.pi / 2)
-    groups = np.concatenate([brightest_groups(sky, part * half, stars, 3) for part, stars in _triangles.CIRCLES])
-    groups = unique_rows(groups, len(sky.directions))
+    groups = _triangles.groups_of(sky, half_diagonal_rad)
     return np.take_along_axis(groups, np.argsort(_triangles.sides(sky.directions[groups]), axis=1), 1)
 
 

@@ -41,11 +41,15 @@ def table_key(view: View) -> tuple[float]:
     return ((1 + KEY_STEP) ** steps,)
 
 
+def groups_of(sky: SkyCatalogue, half_diagonal_rad: float) -> np.ndarray:
+    """(G, 3) star rows of the table's triangles for such a field."""
+    groups = [brightest_groups(sky, part * min(half_diagonal_rad, pi / 2), stars, 3) for part, stars in CIRCLES]
+    return unique_rows(np.concatenate(groups), len(sky.directions))
+
+
 def build(sky: SkyCatalogue, sizes: tuple[float]) -> CodeTable:
     """Codes: the three sides, ascending; rows: corners in the order of the sides opposite them."""
-    half = min(sizes[0], pi / 2)
-    groups = [brightest_groups(sky, part * half, stars, 3) for part, stars in CIRCLES]
-    return table_of(sky, unique_rows(np.concatenate(groups), len(sky.directions)), half)
+    return table_of(sky, groups_of(sky, sizes[0]), min(sizes[0], pi / 2))
 
 
 def table_of(sky: SkyCatalogue, groups: np.ndarray, half: float) -> CodeTable:

@@ -23,6 +23,7 @@ from ...calmap.windows import SeriesLayers
 from ...geometry import kernels as geometry_kernels
 from ...geometry import projection, rotation
 from ...records import Attitude, CalibrationMap, Frame, Identification, Intrinsics, Observer, Spots
+from ..kernels import widening
 from ..per_lens import lens_terms
 from ..sky_catalogue import SkyCatalogue
 from ..verify import ACCEPT
@@ -39,7 +40,6 @@ LARGEST_TURN_RAD = 0.1  # between two frames; a larger one is a new target, not 
 AGREES_SIGMA = 4.0
 CROWDED_PX, FAINTER_MAG = 8.0, 4.0  # a star has no neighbour this near that is less than so much fainter
 SMALLEST_CIRCLE_PX = 0.3
-SURPRISE = 3.0
 STALE_VELOCITY_C, STALE_YEARS = 2.5e-8, 1e-7  # 5 mas of aberration; 3 s, in which the zenith moves by 47 arcsec
 METHOD = "tracking"
 
@@ -165,7 +165,7 @@ class Tracker:
         spread, chi2, information, gradient = kernels.spread_of(
             residual, by_turn[kept], weight[kept], own, spots.xy_px[kept], np.array([lens.cx_px, lens.cy_px]))
         freedom = 2 * matches - 3
-        scale = chi2 / freedom if chi2 > freedom + SURPRISE * np.sqrt(2 * freedom) else 1.0
+        scale = widening(chi2, freedom)
         self.drift = self.drift.after(information, gradient)
         self._follow_closely(lens, matrix, fitted)
         self._moved_to(fitted, time_s)

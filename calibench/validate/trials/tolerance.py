@@ -17,11 +17,12 @@ from scipy.spatial import cKDTree
 
 from ...errors import BadInput
 from ...geometry import projection, rotation
-from ...records import CalibrationMap, Spots
+from ...records import CalibrationMap, Observer, Spots
+from ...stars.camera_table import camera_table
 from ...stars.code_table import CodeTable
 from ...stars.identify import _triangles, area_polar_moment
 from ...stars.lost_in_space import LostInSpace
-from ...stars.sky_catalogue import SkyCatalogue, merged
+from ...stars.sky_catalogue import SkyCatalogue
 from ...stars.view import KnownLens, View
 from ..case import SkyCase, Trial
 
@@ -59,7 +60,8 @@ def trial(cases: Sequence[SkyCase], calmap: CalibrationMap, finders: Callable[[S
     lens = KnownLens(calmap.intrinsics)
     width, height = calmap.image_size_px
     table = finders(cases[0]).sky.table
-    sky = merged(table.take(table.hp_mag <= BRIGHTEST), MERGED_PX / calmap.intrinsics.fx_px)
+    seen = camera_table(table, faintest_hp=BRIGHTEST, part_rad=MERGED_PX / calmap.intrinsics.fx_px).table
+    sky = SkyCatalogue.seen_by(seen, Observer())
     groups = groups_of(sky, 2 * np.arctan(min(width, height) / 2 / calmap.intrinsics.fy_px))
     if len(groups) < 100:
         raise BadInput(f"the field holds only {len(groups)} groups of stars brighter than {BRIGHTEST:g}",

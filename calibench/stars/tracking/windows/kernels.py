@@ -8,11 +8,11 @@ import numpy as np
 
 from ....geometry.kernels import factor_definite, inverse_of_first_two, solve_definite
 from ....kernels import compiled
+from ...kernels import widening
 
 DETECTED_SIGMA = 5.0  # of the light in 3 x 3 pixels over its noise
 CENTRING_STEPS, TRAIL_STEPS = 8, 6
 QUARTILES = 1.349  # distance of a Gaussian's quartiles, sigma
-SURPRISE = 3.0  # chi^2 this many sigma above its expectation widens the covariance
 QUANTISATION_DN2 = 1 / 12
 NODE = 0.28867513459481287  # 2 x 2 Gauss-Legendre nodes of a pixel
 
@@ -193,7 +193,7 @@ def fit_trails(signal, floor, start, shape_px2, trail_px, radius, gain_dn_per_e)
         if not good or not theta[2] > 0 or not factor_definite(normal):
             continue
         freedom = used - 4
-        scale = chi2 / freedom if chi2 > freedom + SURPRISE * math.sqrt(2.0 * freedom) else 1.0
+        scale = widening(chi2, freedom)
         xx, yy, xy = inverse_of_first_two(normal, gradient)
         out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = theta[0], theta[1], xx * scale, yy * scale, xy * scale
         out[k, 5], out[k, 6] = theta[2], theta[3]
