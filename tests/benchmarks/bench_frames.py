@@ -102,7 +102,8 @@ def test_error_bars_of_trailed_stars(rate_deg_s):
         track = render.tracker(sky)
         for k, matrix in enumerate(before):
             track.start(render.quaternion(matrix), k * STEP_S)
-        spots, found, attitude = track.follow(render.view(sky, truth, rng, rate, exposure_s, least_smear_px=0), 2 * STEP_S, Observer())
+        frame = render.view(sky, truth, rng, rate, exposure_s, least_smear_px=0)
+        _, found, attitude = track.follow(frame, 2 * STEP_S, Observer())
         if attitude.status != "solved":
             lost += 1
             continue
