@@ -12,6 +12,7 @@ from ..records import DEFECT_FLAGS, SPOT_FLAGS, UNUSABLE
 CLIP_SIGMA = 3.5  # at 3 the mean of skewed noise (a dark sky's few electrons) would lie 0.04 sigma * skewness too low
 CLIP_ROUNDS = 6
 INSIDE_CLIP = 0.99694  # a Gaussian's standard deviation inside the clip
+BLANK = 0.98  # of a cell at one value: no light falls there; noise of 0.21 DN, rounded, leaves as many
 SETTLED = 1e-3
 START_SAMPLES = 64
 QUARTILES = 1.349  # distance of a Gaussian's quartiles, sigma
@@ -147,7 +148,8 @@ def cell_statistics(image, cell, floor):
     until stable: stars fall out, a slope across the cell is no noise. floor: least noise, DN.
 
     Returns:
-        level, noise (rows, columns) float64, NaN where fewer than an eighth of the pixels count.
+        level, noise (rows, columns) float64, NaN where fewer than an eighth of the pixels count; noise NaN, too, where
+        BLANK of them are of one value: beyond the image circle, a black border, cut off at black.
     """
     h, w = image.shape
     rows, columns = (h + cell - 1) // cell, (w + cell - 1) // cell
@@ -175,10 +177,13 @@ def cell_statistics(image, cell, floor):
                 sample[n] = value
             spread = (sample[3 * taken // 4] - sample[taken // 4]) / QUARTILES + floor
             middle = sample[taken // 2]
+            same = 0
+            for k in range(count):
+                same += 1 if values[k] == middle else 0
             centre, spread, along_x, along_y = _clipped(values[:count], us[:count], vs[:count], middle, spread, floor)
             # A cell that the image's edge cuts is given the level at the centre that a whole one has.
             level[r, c] = centre + along_x * 0.5 * (x0 + cell - x1) + along_y * 0.5 * (y0 + cell - y1)
-            noise[r, c] = spread
+            noise[r, c] = spread if same < BLANK * count else np.nan
     return level, noise
 
 

@@ -39,3 +39,13 @@ def test_restless_areas_are_told():
     image[:, 192:] += rng.normal(0, 15, (256, 64))
     busy = busy_area(background_and_noise(image)[1])
     assert busy[:, 210:].mean() > 0.95 and busy[:, :160].mean() < 0.05
+
+
+def test_where_no_light_falls_the_noise_of_the_rest_counts():
+    """Beyond the image circle all pixels are of one value: no noise of 0.3 DN, beside which the sky would be restless."""
+    rng = np.random.default_rng(3)
+    image = np.rint(rng.normal(20, 2, (384, 384)))
+    y, x = np.mgrid[:384, :384]
+    lit = np.hypot(x - 192, y - 192) < 170
+    noise = background_and_noise(np.where(lit, image, 0))[1]
+    assert np.quantile(noise, 0.1) > 1.5 and busy_area(noise)[lit].mean() < 0.02
