@@ -17,7 +17,7 @@ CLIP_SIGMA = 4.0
 SPOTS_PER_TERM = 3
 DEGREES = (4, 3, 2, 1, 0)
 PHASES = 4
-CORE_PER_SIGMA = (0.6, 1.5), (1.1, 0.8)  # series' scale over the Gaussian's, by its sigma in px: found on rendered lenses
+CORE_PER_SIGMA = (0.35, 0.5, 0.75, 1.5), (1.2, 1.15, 1.0, 0.8)  # series' scale over sigma, by sigma in px: on rendered lenses
 
 
 @dataclass(frozen=True, kw_only=True)
