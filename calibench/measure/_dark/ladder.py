@@ -12,8 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._defects import core_sigma, typical
+from .._transfer import BEYOND_CHANCE
 from .levels import DarkLevel
 from .limits import check_exposure, check_rate
+
+CLEARLY_MORE = 3.0  # times the error of the pixels' noise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,18 +130,20 @@ def _combine(weights: np.ndarray, images: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _level_error(level: DarkLevel, variance: np.ndarray) -> float:
-    """1-sigma of the mean level: the scatter of the frames' levels, at least what the pixels' noise makes of it."""
+    """1-sigma of the mean level: what the pixels' noise makes of it, or the scatter of the frames' levels where that is clearly
+    more. The larger of the two would be too large on average: the scatter of few frames is mostly chance."""
     n = level.count
     pixels = float(np.sqrt(np.mean(variance) / (n * variance.size)))
     frames = float(np.std(level.levels_dn, ddof=1) / np.sqrt(n)) if n > 1 else 0.0
-    return max(pixels, frames, 1e-9)
+    return max(frames if frames > CLEARLY_MORE * pixels else pixels, 1e-9)
 
 
 def _level_line(t: np.ndarray, level: np.ndarray, error: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
-    """(offset, uncertainty), (rate, uncertainty); errors are widened where the levels scatter more about the line."""
+    """(offset, uncertainty), (rate, uncertainty); errors are widened where the levels scatter more about the line than chance
+    lets them."""
     to_offset, to_rate = _line(t, error**2)
     offset, rate = float(to_offset @ level), float(to_rate @ level)
     freedom = len(t) - 2
-    chi = np.sqrt(np.sum(((level - offset - rate * t) / error) ** 2) / freedom) if freedom else 1.0
-    wider = max(1.0, float(chi))
+    chi2 = np.sum(((level - offset - rate * t) / error) ** 2) / freedom if freedom else 1.0
+    wider = float(np.sqrt(chi2)) if chi2 > 1 + BEYOND_CHANCE * np.sqrt(2 / max(freedom, 1)) else 1.0
     return ((offset, wider * float(np.linalg.norm(to_offset * error))), (rate, wider * float(np.linalg.norm(to_rate * error))))
