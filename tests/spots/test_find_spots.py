@@ -66,6 +66,23 @@ def test_gaussian_centroids_reach_their_own_honest_covariance(sigma):
     assert np.mean(flux) == pytest.approx(5000, rel=0.01)
 
 
+@pytest.mark.parametrize("centroider", registry.names("calibench.spots.centroid"))
+def test_a_saturated_spot_is_not_believed_to_the_hundredth_of_a_pixel(centroider):
+    rng = np.random.default_rng(6)
+    xy = grid(rng)
+    full, squares = 3000.0, []
+    for _ in range(6):
+        data = render(xy, 60000, 0.9, rng)
+        defects = np.where(data >= full, np.uint16(DEFECT_FLAGS["saturated"]), np.uint16(0))
+        spots = find_spots(frame(np.minimum(data, full), defects), PsfMap.unknown(SIZE, 0.9), psf_known=True,
+                           centroider=centroider)
+        row, distance = nearest(spots, xy)
+        assert distance.max() < 1.5 and (spots.flags[row] & SPOT_FLAGS["saturated"]).all()
+        error = spots.xy_px[row] - xy
+        squares.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(spots.covariance_px2[row]), error) / 2)
+    assert np.mean(squares) < 3
+
+
 def test_false_alarms_on_pure_noise_stay_rare():
     rng = np.random.default_rng(5)
     found = sum(len(find_spots(frame(render(np.zeros((0, 2)), 0, 1, rng)), PsfMap.unknown(SIZE), detector="components"))

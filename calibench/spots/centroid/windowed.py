@@ -14,6 +14,7 @@ from ..candidates import Candidates
 from ..fit.known_shape import window_radius
 from ..frame_shape import moments_of
 from ..scene import Centroids, Scene
+from ._centre_of_mass import with_lost_light
 
 ROUNDS = 30
 SETTLED_PX = 1e-4
@@ -31,7 +32,7 @@ def centroid(scene: Scene, candidates: Candidates) -> Centroids:
     data, variance = patches.signal_dn.astype(float), patches.floor_variance_dn2.astype(float)
     lost = np.isnan(data)
     light = np.where(lost, 0.0, data)
-    variance = np.where(lost, 0.0, variance + np.nan_to_num(scene.gain_dn_per_e) * np.maximum(light, 0))
+    variance = with_lost_light(variance + np.nan_to_num(scene.gain_dn_per_e) * np.maximum(light, 0), patches.signal_dn)
     offset = np.arange(-radius, radius + 1.0)
     xy = candidates.xy_px - centre
     step = np.full(len(xy), np.inf)
