@@ -1,17 +1,19 @@
 """Through focus: where over the field the spots are smallest, and where a star's place is known best.
 
-The mean second moment of a spot is a parabola in defocus (geometrical optics: exactly), so over positions z and field
+The mean second moment of a spot is even in defocus, and near the focus a parabola. Over positions z and field
 
-    s = B z^2 + L(x, y) z + P(x, y),    best focus z0(x, y) = -L / 2B,    L = 1, x, y, r^2;  P of degree 4
+    s = B d^2 + C d^4 + P(x, y),    d = z - z0(x, y),    z0 = 1, x, y, r^2;  P of degree 4
 
-is one linear least-squares problem: its L holds the tilt of the focal surface and its curvature. With astigmatism z0 is the
-medial focus. Errors by leaving out parts of the field in turn, because a pinhole's misfit is the same at all positions.
+where z0 is the focal surface with its tilt and its curvature; C (where there are more positions than FEWEST_POSITIONS) stands
+for diffraction and for what a Gaussian does not see of a wide spot. With astigmatism z0 is the medial focus. Two errors add
+up: that by leaving out parts of the field in turn, because a pinhole's misfit is the same at all positions, and that by
+leaving out positions, because what the formula does not hold is the same at all pinholes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +27,8 @@ from .spot_shapes import SpotShapes
 FEWEST_POSITIONS = 3
 WIDEST = 4.0  # times the least moment: beyond, the image of the pupil shows and the parabola ends
 CELLS, PARTS = 6, 6
-CLIP_SIGMA = 4.0
+CLIP_SIGMA, STEPS = 4.0, 8
+POWERS = np.array([2, 4])
 PHASES = 4
 STAR_E = float(np.sqrt(BRIGHT_E * FAINT_E))  # of the star whose place is to be known best
 
@@ -61,60 +64,107 @@ def series_of(found: Sequence[SpotShapes], focus_um: Sequence[float], image_size
 
 def focus_quantities(series: Series) -> tuple[list[Quantity], dict[str, np.ndarray]]:
     """Best focus over the field and of the centroid, with errors; and the curves by position as evidence."""
+    out, outside, surface = surface_quantities(series)
     bounds = centroid_bounds_px(series)
-    whole = _figures(series, bounds)
-    others = [_figures(part, centroid_bounds_px(part)) for part in _without_parts(series)]
-    low, high = series.focus_um[[0, -1]]
-    outside = "" if low < whole["focus_best_um"] < high else "the series does not reach both sides of the best focus"
-    what = {"focus_best_um": "position of the least mean second moment, mean over the field",
-            "focus_tilt_x_um": "best focus at the right edge of the image less that at the left",
-            "focus_tilt_y_um": "best focus at the lower edge of the image less that at the upper",
-            "focus_curvature_um": "best focus in the corners less that in the centre, tilt apart",
-            "focus_centroid_um": f"position of the least Cramer-Rao bound of a star's place ({STAR_E:g} e-, 10 e- of noise)"}
-    out = []
-    for name, source in what.items():
-        reason = outside or ("" if np.isfinite(whole[name]) else "the least bound is at the end of the series")
-        known = not reason and all(np.isfinite(other[name]) for other in others)
-        out.append(Quantity(name=name, value=None if reason else whole[name], unit="um", source=source,
-                            reason=reason or ("" if known else "no error: without some of the spots the series ends there"),
-                            uncertainty=jackknife([other[name] for other in others]) if known else None))
+    out.append(_centroid_focus(series, bounds, outside))
     evidence = {"focus_um": series.focus_um, "focus_moment_px2": series.sizes_px2, "focus_centroid_bound_px": bounds,
-                "focus_surface_um": _surface(series, places(series.image_size_px))[0]}
+                "focus_surface_um": surface}
     return out, evidence
 
 
+def surface_quantities(series: Series) -> tuple[list[Quantity], str, np.ndarray]:
+    """Best focus, tilts and curvature; why there are none (else ""); the best focus, um, at `places`."""
+    fewer = _without_positions(series)
+    powers = POWERS if fewer else POWERS[:1]
+    whole, *others = (_figures(one, powers) for one in (series, *fewer, *_without_cells(series)))
+    low, high = series.focus_um[[0, -1]]
+    outside = "" if low < whole["focus_best_um"] < high else "the series does not reach both sides of the best focus"
+    reason = outside or ("" if fewer else f"no error: {FEWEST_POSITIONS} positions near the focus, none can be left out")
+    what = {"focus_best_um": "position of the least mean second moment, mean over the field",
+            "focus_tilt_x_um": "best focus at the right edge of the image less that at the left",
+            "focus_tilt_y_um": "best focus at the lower edge of the image less that at the upper",
+            "focus_curvature_um": "best focus in the corners less that in the centre, tilt apart"}
+    out = []
+    for name, source in what.items():
+        values = [other[name] for other in others]
+        error = None if reason else float(np.hypot(jackknife(values[:len(fewer)]), jackknife(values[len(fewer):])))
+        out.append(Quantity(name=name, value=None if outside else whole[name], uncertainty=error, unit="um", source=source,
+                            reason=reason))
+    return out, outside, _surface(series, places(series.image_size_px), powers)[0]
+
+
+def _centroid_focus(series: Series, bounds: np.ndarray, outside: str) -> Quantity:
+    best = _least(series.focus_um, np.log(bounds))
+    others = [_least(one.focus_um, np.log(centroid_bounds_px(one))) for one in _without_parts(series)]
+    reason = outside or ("" if np.isfinite(best) else "the least bound is at the end of the series")
+    known = not reason and np.isfinite(others).all()
+    return Quantity(name="focus_centroid_um", value=None if reason else best, unit="um",
+                    source=f"position of the least Cramer-Rao bound of a star's place ({STAR_E:g} e-, 10 e- of noise)",
+                    reason=reason or ("" if known else "no error: without some of the spots the series ends there"),
+                    uncertainty=jackknife(others) if known else None)
+
+
+def _cells(series: Series) -> np.ndarray:
+    """(N, 2) column and row of each spot's cell."""
+    return np.clip((series.xy_px + 0.5) / np.array(series.image_size_px) * CELLS, 0, CELLS - 1).astype(int)
+
+
 def _without_parts(series: Series) -> list[Series]:
-    cell = np.clip((series.xy_px + 0.5) / np.array(series.image_size_px) * CELLS, 0, CELLS - 1).astype(int)
-    part = (cell[:, 0] + 2 * cell[:, 1]) % PARTS
+    part = _cells(series) @ [1, 2] % PARTS
     return [series.take(part != one) for one in np.unique(part)]
 
 
-def _figures(series: Series, bounds: np.ndarray) -> dict[str, float]:
+def _without_cells(series: Series) -> list[Series]:
+    """Each cell left out by itself: with PARTS parts an error is known to a third only, and is often far too small."""
+    cell = _cells(series) @ [1, CELLS]
+    return [series.take(cell != one) for one in np.unique(cell)]
+
+
+def _without_positions(series: Series) -> list[Series]:
+    """Each position near the focus left out; none where no more than FEWEST_POSITIONS are near."""
+    near = _near(series)
+    if len(near) == FEWEST_POSITIONS:
+        return []
+    return [replace(series.take(series.spot_focus_um != z), focus_um=series.focus_um[series.focus_um != z]) for z in near]
+
+
+def _near(series: Series) -> np.ndarray:
+    """Positions near enough to the focus for `_surface`, ascending."""
+    sizes = series.sizes_px2
+    return series.focus_um[np.unique(np.r_[sizes.argsort()[:FEWEST_POSITIONS], np.flatnonzero(sizes < WIDEST * sizes.min())])]
+
+
+def _figures(series: Series, powers: np.ndarray) -> dict[str, float]:
     w, h = series.image_size_px
     half = np.hypot(w - 1, h - 1) / 2
-    surface, terms = _surface(series, places(series.image_size_px))
+    surface, terms = _surface(series, places(series.image_size_px), powers)
     return {"focus_best_um": float(surface.mean()), "focus_tilt_x_um": float(terms[1] * (w - 1) / half),
-            "focus_tilt_y_um": float(terms[2] * (h - 1) / half), "focus_curvature_um": float(terms[3]),
-            "focus_centroid_um": _least(series.focus_um, np.log(bounds))}
+            "focus_tilt_y_um": float(terms[2] * (h - 1) / half), "focus_curvature_um": float(terms[3])}
 
 
-def _surface(series: Series, at_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Best focus (M,) um at (M, 2) places, and its terms 1, x, y, r^2 (half diagonals from the centre)."""
-    sizes = series.sizes_px2
-    order = np.argsort(sizes)
-    near = np.unique(np.r_[order[:FEWEST_POSITIONS], np.flatnonzero(sizes < WIDEST * sizes.min())])
-    rows = np.isin(series.spot_focus_um, series.focus_um[near])
-    middle, reach = series.focus_um[order[0]], np.ptp(series.focus_um[near])
+def _surface(series: Series, at_px: np.ndarray, powers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Best focus (M,) um at (M, 2) places, and its terms 1, x, y, r^2 (half diagonals from the centre).
+
+    powers: of the defocus, some of POWERS.
+    """
+    near = _near(series)
+    rows = np.isin(series.spot_focus_um, near)
+    middle, reach = series.focus_um[series.sizes_px2.argmin()], np.ptp(near)
     z, s = (series.spot_focus_um[rows] - middle) / reach, series.moments_px2[rows, :2].mean(1)
     x, y, r2 = _coordinates(series.xy_px[rows], series.image_size_px)
     tilted = np.column_stack([np.ones_like(x), x, y, r2])
-    design = np.column_stack([z**2, tilted * z[:, None], tilted, x * y, x**2 - y**2, r2**2, r2 * x, r2 * y])
-    used = np.ones(len(s), bool)
-    for _ in range(5):
+    spread = np.column_stack([tilted, x * y, x**2 - y**2, r2**2, r2 * x, r2 * y])
+    start = np.linalg.lstsq(np.column_stack([z**2, tilted * z[:, None], spread]), s, rcond=None)[0]  # C = 0 is linear
+    growth, terms, used = start[0] * (powers == 2), -start[1:5] / (2 * start[0]), np.ones(len(s), bool)
+    for _ in range(STEPS):
+        away = (z - tilted @ terms)[:, None]
+        slope = (growth * powers * away ** (powers - 1)).sum(1, keepdims=True)
+        design = np.column_stack([away**powers, -slope * tilted, spread])
         found = np.linalg.lstsq(design[used], s[used], rcond=None)[0]
+        growth, terms = found[:len(powers)], terms + found[len(powers):len(powers) + 4]
         residual = s - design @ found
         used = np.abs(residual) <= CLIP_SIGMA * 1.4826 * np.median(np.abs(residual[used])) + 1e-12
-    terms = -found[1:5] / (2 * found[0]) * reach
+    terms = terms * reach
     terms[0] += middle
     x, y, r2 = _coordinates(at_px, series.image_size_px)
     return np.column_stack([np.ones_like(x), x, y, r2]) @ terms, terms
