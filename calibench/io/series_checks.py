@@ -138,7 +138,7 @@ def _refuse_constant_level(frames: Sequence[FrameSeen]) -> None:
         raise BadInput(
             f"the flats state exposures from {shortest_s:g} s to {longest_s:g} s, but their level stays "
             f"({low_dn:.1f} DN and {high_dn:.1f} DN): automatic exposure or gain at work, wrong exposures, or no light",
-            mend="switch the automatics off and take the series again")
+            mend="switch the automatics off and take the series again; or were the folders of darks and flats swapped?")
 
 
 def _white_level_seen(frames: Sequence[FrameSeen]) -> float:

@@ -18,11 +18,12 @@ import numpy as np
 from ..calmap.clusters import with_clusters
 from ..records import CalibrationMap, Frame, Measurement, Provenance
 from ._dark import telegraph
-from ._dark.darkness import check_dark, high_level
+from ._dark.darkness import check_dark, check_light, high_level
 from ._dark.defects import Fetch, Found, Rules, find_defects
 from ._dark.figures import quantities, read_noise_map
 from ._dark.ladder import Ladder, fit
 from ._dark.levels import DarkLevel, DarkLevels
+from ._dark.limits import odd_rate
 from ._dark.temperatures import Temperatures, over_temperature
 from ._defects import flags, typical
 from ._frames.ledger import TEMPERATURE_DRIFT_C, Ledger
@@ -55,7 +56,8 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         calmap: a map whose gain turns DN into e-; where it holds the darks of another session, its defects are compared.
 
     Raises:
-        BadInput: no frames, mixed settings, a frame that is not dark (named), absurd exposures or rates.
+        BadInput: no frames, mixed settings, a frame that is not dark (named), darks as evenly lit as light
+            makes them, absurd exposures or rates.
     """
     settings = settings or Settings()
     ledger, groups = _collect(frames, settings)
@@ -63,6 +65,9 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     gain = known_gain(calmap, first)
     ladders = [fit(levels, first.white_level_dn, gain.dn_per_e) for levels in groups]
     ladder = max(ladders, key=lambda one: (len(one.levels), sum(level.count for level in one.levels), one.temperature_c or 0.0))
+    if ladder.level_rate is not None:
+        check_light(ladder.level_rate[0] * ladder.exposure_s[-1], first.white_level_dn, lambda: ladder.rate_dn_per_s,
+                    first.bayer_pattern)
     quiet = next((level for level in ladder.levels if level.freedom), None)
     unit = gain.dn_per_e if np.isfinite(gain.dn_per_e) else 1.0
     rules = _rules(ladder, first, gain, settings, unit)
@@ -176,8 +181,14 @@ def _warnings(ledger: Ledger, ladder: Ladder, temperatures: int) -> tuple[str, .
         out.append("exposure unknown: no dark rate; offset and defects hold for frames taken like these only")
     elif ladder.rate_dn_per_s is None:
         out.append(f"one exposure only ({ladder.exposure_s[0]:g} s): offset includes the dark signal, no dark rate")
+    if ladder.level_rate is not None:
+        out += odd_rate(*ladder.level_rate, ledger.first.white_level_dn)
+    single = [t for level, t in zip(ladder.levels, ladder.exposure_s or (0.0,), strict=True) if not level.freedom]
     if not ladder.noise_known:
         out.append("one frame an exposure: temporal noise unknown, defects judged by the scatter over the image")
+    elif single:
+        out.append(f"one frame only of {', '.join(f'{t:g} s' for t in single)}: no temporal noise of its own, that of "
+                   f"{next(t for t in ladder.exposure_s if t not in single):g} s is taken")
     for level, t in zip(ladder.levels, ladder.exposure_s or (None,), strict=True):
         low, high = level.levels_dn.min(), level.levels_dn.max()
         if high - low > max(0.5, 0.25 * float(np.sqrt(typical(ladder.variance_dn2[0])))):

@@ -58,7 +58,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     if not levels:
         raise BadInput("no flat frames among the frames", mend="give frames of an evenly lit field; darks alone are for `dark`")
     if darks is not None:
-        darks.check(first.white_level_dn)
+        darks.check(first.white_level_dn, first.bayer_pattern)
         bright = high_level(max(one.level_dn for one in darks.levels), first.white_level_dn)
     else:
         bright = ()
@@ -106,7 +106,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
                   "level_saturated": np.array([v.saturated for v in levels]),
                   "dust_xy_px": dust.xy_px, "dust_diameter_px": dust.diameter_px, "dust_depth": dust.depth,
                   "response_histogram_count": counts, "response_histogram_edge": edges},
-        provenance=ledger.provenance(), warnings=(*_warnings(ledger, verdicts, best, first), *bright),
+        provenance=ledger.provenance(), warnings=(*_warnings(ledger, verdicts, best, first, usable), *bright),
         frames_used=sum(v.count for v in usable) + sum(v.count for v in (darks.levels if darks else ())),
         frames_rejected=tuple(ledger.rejected))
     return with_changes(measured, calmap, ("dead", "cold"), "response")
@@ -162,15 +162,19 @@ def _point(level: FlatLevel, below: DarkBelow | MapDark) -> TransferPoint:
                          variance_uncertainty_dn2=float(relative * np.hypot(level.variance_dn2, dark)))
 
 
-def _warnings(ledger: Ledger, verdicts: list[str | None], best: Level, first: Frame) -> tuple[str, ...]:
+def _warnings(ledger: Ledger, verdicts: list[str | None], best: Level, first: Frame,
+              usable: list[FlatLevel]) -> tuple[str, ...]:
     out = list(ledger.warnings)
     if first.bit_depth <= 8:
         out.append("8-bit flats: quantisation hides the pixel response")
     out += [f"left out: {why}" for why in verdicts if why]
+    single = [f"{v.level_dn:.0f} DN" for v in usable if not v.freedom]
     if not (best.dark_origin.startswith("darks of") or best.dark_origin.startswith("dark layers")):
         out.append(f"dark below the flats: {best.dark_origin}")
     if not best.freedom:
         out.append("one flat a level: temporal noise unknown, so neither gain nor PRNU; the response holds one frame's noise")
+    elif single:
+        out.append(f"one flat only at {', '.join(single)}: no temporal noise, so no part in the gain")
     if best.exposure_s is None:
         out.append("exposure unknown: the dark below the flats may not match them")
     levels_dn = best.levels_dn

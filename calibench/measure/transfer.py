@@ -28,9 +28,13 @@ from ._photon.linearity import correction
 from ._photon.plane import Image, Plane, analyse
 
 MEND = "take a ladder of about 50 (at least 9) even steps from dark to saturation, two frames each, and darks of each exposure"
+APART = ("Frames of one exposure whose means differ by more than 1 % are different levels, unless the photons of each are "
+         "stated: a light that flickers looks like that")
 FEW_LEVELS = 9
 DARK_STEPS = 4.0
 FLICKER, DIM = 0.002, 0.05  # relative scatter of the frames of a level, at this part of saturation and above
+MAX_FLICKER = 0.03  # rms over the levels: beyond it saturation, linearity and responsivity are the lamp's
+MOST_SINGLE = 1 / 3  # of the light's frames
 CORRELATED, CORRELATED_SIGMA = 0.01, 5.0
 GAINS = ("gain_crosstalk_corrected_dn_per_e", "gain_dn_per_e")  # the first that is known goes into the map
 
@@ -50,7 +54,8 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     """All figures of a photon transfer series; darks (kind 'dark') among the frames, else the map's dark layers serve.
 
     Raises:
-        BadInput: no light or no darks, mixed settings, one frame a level, too few levels, swapped darks, absurd exposures.
+        BadInput: no light or no darks, mixed settings, one frame a level, too few levels, a light that flickers,
+            swapped darks, absurd exposures.
     """
     settings = settings or Settings()
     if settings.lens not in ("yes", "no", ""):
@@ -67,6 +72,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
         dark, bright = (_image(gathered, i, is_dark) for is_dark in (True, False))
         planes[name] = analyse(lit, darks, dark, bright, first.white_level_dn)
     curves = [plane.curve for plane in planes.values()]
+    _refuse_flicker(curves)
     quantities = _all_planes(planes)
     gains = {q.name: q.value for q in quantities if q.name in GAINS}
     layers = {"gain_dn_per_e": next(gains[name] for name in GAINS if gains[name])}
@@ -107,8 +113,24 @@ def _gather(frames: Iterable[Frame], ledger: Ledger, settings: Settings) -> Leve
     gathered.close(ledger.first.white_level_dn)
     ledger.rejected += [(file, "the only frame of its level: the temporal noise needs two") for file in gathered.single]
     if not any(gathered.levels.values()):
-        raise BadInput("every level has one frame only: the temporal noise needs two frames of each", mend=MEND)
+        raise BadInput(f"every level has one frame only: the temporal noise needs two frames of each. {APART}", mend=MEND)
+    _refuse_scattered(gathered)
     return gathered
+
+
+def _refuse_scattered(gathered: Levels) -> None:
+    lit = sum(v.count for v in next(iter(gathered.levels.values())) if not v.dark)
+    alone = gathered.single_lit
+    if alone > MOST_SINGLE * (lit + alone):
+        raise BadInput(f"{alone} of {lit + alone} frames of light are the only one of their level. {APART}", mend=MEND)
+
+
+def _refuse_flicker(curves: list[Curve]) -> None:
+    """The gain stands a flickering lamp; what follows from the light of a level does not."""
+    rms = max(float(np.sqrt(np.mean(c.flicker[c.below(1.0, DIM)] ** 2))) for c in curves)
+    if rms > MAX_FLICKER:
+        raise BadInput(f"the light flickers: frames of one level differ by {100 * rms:.2g} % (1 sigma)",
+                       mend="feed the lamp from a steady supply, expose for whole periods of the mains, let it warm up")
 
 
 def _featureless(frame: Frame) -> bool:

@@ -73,6 +73,17 @@ def test_a_wrong_unit_of_time_is_an_error_and_no_figure(light_ladder):
         transfer.measure(scaled(1e9))
 
 
+def test_a_light_that_flickers_is_refused_where_its_light_counts(light_ladder):
+    with pytest.raises(BadInput, match="flickers"):
+        transfer.measure(light_ladder(11, flicker=0.06))
+    measured = transfer.measure(light_ladder(11, flicker=0.01))
+    assert any("the lamp flickers" in w for w in measured.warnings)
+    gain = measured.quantity("gain_dn_per_e")
+    assert abs(gain.value - 0.25) < 3 * gain.uncertainty
+    with pytest.raises(BadInput, match="a light that flickers looks like that"):
+        transfer.measure(dataclasses.replace(f, photons_per_px=None) for f in light_ladder(11, flicker=0.06))
+
+
 def test_mixed_gains_and_sizes_are_refused(light_ladder):
     frames = list(light_ladder(6, levels=6, stack=0))
     with pytest.raises(BadInput, match="gain_setting"):

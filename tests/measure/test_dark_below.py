@@ -55,4 +55,4 @@ def test_an_absurd_unit_of_time_is_refused():
     below.take(level(1e-6, 3))
     below.take(level(2e-6, 3, rate=1e9))
     with pytest.raises(BadInput, match="absurd"):
-        below.check(4095.0)
+        below.check(4095.0, None)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...errors import BadInput
 from ...records import CalibrationMap, Frame
+from .darkness import check_light
 from .ladder import most_variance_dn2
 from .levels import DarkLevel
 from .limits import check_exposure, check_rate
@@ -58,11 +59,13 @@ class DarkBelow:
             self._noise += level.variance_dn2 * np.float32(level.freedom)
             self._freedom += level.freedom
 
-    def check(self, white_level_dn: float) -> None:
-        """Raises BadInput where exposures or the dark rate are absurd, as they are when the time unit is wrong."""
+    def check(self, white_level_dn: float, bayer_pattern: str | None) -> None:
+        """Raises BadInput where the darks are lit, or exposures or rate absurd, as they are when the time unit is wrong."""
         check_exposure(max(self._t))
         if np.ptp(self._t) > 0:
-            check_rate(self._line_dn(1.0) - self._line_dn(0.0), white_level_dn, np.nan)
+            rate_dn_per_s, longest_s = self._line_dn(1.0) - self._line_dn(0.0), max(self._t)
+            check_rate(rate_dn_per_s, longest_s, white_level_dn, np.nan)
+            check_light(rate_dn_per_s * longest_s, white_level_dn, self._rate, bayer_pattern)
 
     @property
     def pixels(self) -> int:
@@ -128,6 +131,11 @@ class DarkBelow:
             return 1 / whole, 0.0
         scale = whole * second - first**2
         return (second - exposure_s * first) / scale, (exposure_s * whole - first) / scale
+
+    def _rate(self) -> np.ndarray:
+        """(H, W) slope of the line, DN/s."""
+        (a, b), (c, d) = self._weights(1.0), self._weights(0.0)
+        return np.float32(a - c) * self._sum + np.float32(b - d) * self._sum_t
 
     def _variance(self) -> np.ndarray:
         """(H, W) temporal variance of one frame; without repeats an upper limit from the scatter over the image."""

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ...errors import BadInput
 from ...records import Frame
 from ...spots.background import background_and_noise
+from .._defects import background, core_sigma, typical
 from .._frames.glance import glance
 
 MAX_LEVEL = 0.5  # of the range: beyond it no dark
 HIGH_LEVEL = 0.15  # of the range: darker cameras are the rule, so this is said
 MAX_SATURATED = 0.01
+EVEN = 0.03  # scatter of the dark rate over the pixels, noise included, below which it is no dark current
 MAX_STRUCTURE = 0.05  # of the range between dim and bright blocks; amplifier glow stays below
 MAX_STRUCTURE_OF_LEVEL, MAX_STRUCTURE_DN = 0.1, 30.0  # of the level itself, but at least these DN, where the range is not known
 MAX_EQUAL = 0.9  # of the pixels at one value: a picture without noise is no picture of the dark
@@ -44,6 +48,30 @@ def high_level(level_dn: float, white_level_dn: float) -> tuple[str, ...]:
         return ()
     return (f"the darks reach {level_dn:.0f} DN of {white_level_dn:.0f}: a high black level, much dark current, or light "
             "comes in",)
+
+
+def check_light(signal_dn: float, white_level_dn: float, rate: Callable[[], np.ndarray], bayer_pattern: str | None) -> None:
+    """Refuse darks whose signal grows with exposure as evenly over the pixels as light does.
+
+    Dark current differs from pixel to pixel by a tenth and more, the response to light by a hundredth. Only a signal that is
+    large is judged: what is small may be even by a sensor's good making, and does little harm.
+
+    Args:
+        signal_dn: mean dark signal at the longest exposure. rate: gives the dark rate (H, W).
+
+    Raises:
+        BadInput: it is light.
+    """
+    if signal_dn <= HIGH_LEVEL * white_level_dn:
+        return
+    image = rate()
+    around = background(image, bayer_pattern)
+    spread = typical(core_sigma(image - around, bayer_pattern)) / typical(around)
+    if spread < EVEN:
+        raise BadInput(f"the darks are lit: their level grows with exposure by {signal_dn:.0f} DN of {white_level_dn:.0f}, "
+                       f"alike in all pixels to {100 * spread:.1f} %, as light does and dark current does not",
+                       mend="cap the lens, close the room; were the folders swapped? If it is dark current all the same, take "
+                       "shorter darks or cool the sensor")
 
 
 def _why_not(frame: Frame) -> str | None:

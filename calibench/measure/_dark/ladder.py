@@ -94,7 +94,7 @@ def fit(levels: Sequence[DarkLevel], white_level_dn: float, gain_dn_per_e: float
     level = np.array([one.levels_dn.mean() for one in levels])
     error = np.array([_level_error(one, v) for one, v in zip(levels, variance, strict=True)])
     level_offset, level_rate = _level_line(t, level, error)
-    check_rate(level_rate[0], white_level_dn, gain_dn_per_e)
+    check_rate(level_rate[0], exposures[-1], white_level_dn, gain_dn_per_e)
     means = [one.mean_dn for one in levels]
     return Ladder(**common, level_offset=level_offset, level_rate=level_rate, to_offset=to_offset, to_rate=to_rate,
                   offset_dn=_combine(to_offset, means), rate_dn_per_s=_combine(to_rate, means))

@@ -82,10 +82,11 @@ class FlatLevels:
         known = [below for (stated, _), below in self._darks.items() if stated] or list(self._darks.values())
         return max(known, key=lambda below: len(below.levels), default=None)
 
-    def preference(self, level: FlatLevel) -> tuple[int, float]:
-        """Smallest for the level to read the response from: most frames around half of the range, else nearest to half."""
+    def preference(self, level: FlatLevel) -> tuple[bool, int, float]:
+        """Smallest for the level to read the response from: no single frame, whose noise is unknown; most frames around
+        half of the range, else nearest to half."""
         off = abs(level.typical_dn / self._white_dn - RIGHT_FILL)
-        return (-level.count if off < NEAR_HALF else 0, off)
+        return level.count < 2, -level.count if off < NEAR_HALF else 0, off
 
     def _flat_key(self, frame: Frame, level_dn: float) -> tuple:
         for key in self._marks:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import BadInput
 from ...records import Frame, Provenance
+from .clock import check_clock
 from .glance import glance
 from .watch import Watch
 
@@ -29,6 +30,7 @@ class Ledger:
         self._seen: dict[str | int, str] = {}
         self._watch = Watch()
         self._said: dict[str, set] = {name: set() for name in ("exposure_s", "temperature_c", "date_obs", "camera")}
+        self._taken: list[tuple[str, float]] = []  # start and exposure of darks and flats that state both
         self.inputs: dict[str, str] = {}
         self.rejected: list[tuple[str, str]] = []
         self.lossy = False
@@ -56,6 +58,8 @@ class Ledger:
                 return False
             self._seen[seen.digest] = frame.name
             self._watch.take(frame, seen)
+            if frame.date_obs is not None and frame.exposure_s is not None:
+                self._taken.append((frame.date_obs, frame.exposure_s))
         self._seen[digest] = frame.name
         self.inputs[frame.label or f"frame {len(self.inputs) + 1}"] = digest
         self.lossy |= frame.lossy
@@ -81,8 +85,8 @@ class Ledger:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user should know about these frames as a whole."""
-        out = []
+        """What a user should know about these frames as a whole. Raises BadInput where `check_clock` does."""
+        out = list(check_clock(self._taken))
         if self.lossy:
             out.append(f"{self._what}: 8-bit or lossy files")
         celsius = self._said["temperature_c"]

@@ -116,7 +116,7 @@ class Levels:
     """Takes frames one by one; `levels`, `stacks` and `single` are complete after `close`.
 
     levels: for each plane, all levels of two frames or more. stacks: of dark (True) and lit frames. single: files of levels
-    with one frame only.
+    with one frame only, single_lit: how many of these are light.
     """
 
     def __init__(self, bayer_pattern: str | None):
@@ -127,6 +127,7 @@ class Levels:
         self.levels: dict[str, list[Level]] = {name: [] for name in self._places}
         self.stacks: dict[bool, Stack] = {}
         self.single: list[str] = []
+        self.single_lit = 0
 
     def add(self, frame: Frame, photons: float | None) -> None:
         """Add a frame, dark where its kind says so. photons: that a pixel receives in this exposure; None: not stated.
@@ -178,6 +179,7 @@ class Levels:
         planes, files = self._open.pop(key), self._files.pop(key)
         if len(files) < 2:
             self.single += files
+            self.single_lit += not key[0]
             return
         found = tuple(_figures(level, key) for level in planes)
         for figures, name in zip(found, self._places, strict=True):
