@@ -29,7 +29,7 @@ def read(raw: memoryview, file: Path, sidecar: Sidecar) -> Reading:
     """
     import tifffile
 
-    with decoding(file, "TIFF"), tifffile.TiffFile(Stream(raw)) as tiff:
+    with decoding(file, "TIFF"), Stream(raw) as stream, tifffile.TiffFile(stream) as tiff:
         pages = [page for page in tiff.pages if not int(page.subfiletype or 0) & REDUCED_IMAGE]
         if not pages:
             raise BadInput("holds no image", file=file, mend=TRUNCATED_MEND)
