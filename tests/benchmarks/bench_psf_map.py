@@ -17,9 +17,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibench.measure import psf
 from calibench.measure._psf.epsf import Windows, fit_shape
 from calibench.measure._psf.field import CORE_PER_SIGMA
 from calibench.measure._psf.spot_shapes import LARGEST_RADIUS_PX, SMALLEST_RADIUS_PX
+from calibench.records import Frame
+from calibench.simulate.psf import render_sources
 from calibench.simulate.pupil import Pupil, stamps
 from calibench.spots import hermite
 from calibench.spots.centroid import psf_map
@@ -192,6 +195,29 @@ def test_map_against_truth(name):
           f"{np.sqrt(np.mean(phase**2)):.2f} mpx, magnitude term {np.sqrt(np.mean((bright - faint) ** 2)):.2f} mpx rms "
           f"{np.abs(bright - faint).max():.2f} largest, {clock:.2f} CPU s, {shape.coefficients.nbytes / 1e3:.1f} kB; "
           + ", ".join(f"{f:.0e} e-: error squared {h[2]:.3f}, {h[3]:.1f} us" for f, h in honest.items()))
+
+
+@pytest.mark.parametrize("name", ["nominal", "undersampled"])
+def test_map_from_star_frames_against_truth(name):
+    """`psf --from-stars` on 20 simulated frames of the sky, 60 stars of 3e3 to 1.5e5 e- on each, most of them faint."""
+    lens, frames = CASES[name], []
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        xy, flux = rng.uniform(2, np.array(SIZE) - 3, (60, 2)), 3e3 * 50 ** rng.random(60) ** 2
+        image = rng.poisson(render_sources(lens, xy, flux, SIZE) + 30) + rng.normal(0, 10, SIZE[::-1])
+        data = np.rint(100 + 0.25 * image).clip(0, 65535).astype(np.uint16)
+        frames.append(Frame(data=data, kind="light", bit_depth=16, white_level_dn=65535, egain_e_per_dn=4.0))
+    clock = time.process_time()
+    measured = psf.measure(frames, psf.Settings(from_stars=True))
+    clock = time.process_time() - clock
+    shape = measured.psf.hermite
+    if shape is None:
+        print(f"\n{name}, from stars: no shape ({measured.warnings})")
+        return
+    _, phase, _, _ = biases_mpx(lens, shape, np.random.default_rng(1), 1e5, False)
+    print(f"\n{name}, from {measured.quantity('spots_used').value:.0f} stars of 20 frames: order {shape.order}, degree "
+          f"{shape.degree}, core rms {core_rms(lens, shape):.3f} % of peak ({100 * shape.core_residual:.3f} % by itself), "
+          f"phase bias {np.sqrt(np.mean(phase**2)):.2f} mpx, {clock:.1f} CPU s")
 
 
 def test_photutils_on_the_same_spots(tmp_path):
