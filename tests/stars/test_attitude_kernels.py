@@ -9,6 +9,7 @@ from calibench.geometry import projection, rotation
 from calibench.records import Identification, Intrinsics
 from calibench.stars import frame_attitude
 from calibench.stars.attitude import kernels, quest
+from calibench.stars.kernels import SURPRISE_SIGMA
 from calibench.stars.per_lens import lens_terms
 
 SIZE = (752, 480)
@@ -82,7 +83,7 @@ def test_attitude_matches_its_plain_form(lens, calibrated):
                            xy_px=xy + rng.normal(size=xy.shape) * 0.1, covariance_px2=root @ np.swapaxes(root, 1, 2))
     matrix, covariance, chi2, residual, weight = plain(found, calibrated)
     freedom = 2 * len(rows) - 3
-    scale = chi2 / freedom if chi2 > freedom + frame_attitude.SURPRISE * np.sqrt(2 * freedom) else 1.0
+    scale = chi2 / freedom if chi2 > freedom + SURPRISE_SIGMA * np.sqrt(2 * freedom) else 1.0
     attitude = frame_attitude.find_attitude(found, "quest", calibrated=calibrated)
     np.testing.assert_allclose(rotation.matrix_from_quaternion(attitude.q_cam_icrs), matrix, atol=1e-12)
     np.testing.assert_allclose(attitude.covariance_rad2, covariance * scale, rtol=1e-9, atol=1e-12 * np.abs(covariance).max())
