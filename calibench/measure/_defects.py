@@ -15,7 +15,7 @@ from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
 from scipy.special import chdtri, ndtr
 
 from ..records import DEFECT_FLAGS
-from ._quantiles import row_medians
+from ._quantiles import line_medians, row_medians
 
 BLOCK_PX = 32
 SAMPLE_PIXELS = 250_000  # enough for a median: 0.25 % of the spread
@@ -66,10 +66,12 @@ def background(image: np.ndarray, bayer_pattern: str | None) -> np.ndarray:
     """(H, W) float32: smooth local level plus row and column medians."""
     out = np.empty(image.shape, np.float32)
     for plane in planes(image.shape, bayer_pattern):
-        part = np.ascontiguousarray(image[plane], np.float32)
+        part = np.array(image[plane], np.float32, order="C")
         level = _spread(_block_medians(part), part.shape)
-        level += row_medians(part - level)[:, None]
-        level += row_medians(np.ascontiguousarray((part - level).T))  # along memory: five times faster
+        part -= level
+        level += (rows := line_medians(part, 1)[:, None])
+        part -= rows
+        level += line_medians(part, 0)
         out[plane] = level
     return out
 
@@ -137,7 +139,7 @@ def lines_above(image: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray
     scatter."""
     found = []
     for axis in (1, 0):
-        level = row_medians(image if axis == 1 else np.ascontiguousarray(image.T))
+        level = line_medians(image, axis)
         above = level - median_filter(level, LINES_AROUND, mode="nearest")
         found.append(above > max(limit, LINE_SIGMA * 1.4826 * float(np.median(np.abs(above)))))
     return found[0], found[1]

@@ -13,7 +13,17 @@ def quantiles(image: np.ndarray, shares: Sequence[float]) -> list[float]:
     return [float(ordered[round(share * (ordered.size - 1))]) for share in shares]
 
 
+BAND = 256  # lines that are copied and sorted at a time
+
+
 def row_medians(image: np.ndarray) -> np.ndarray:
     """(...,) median over the last axis of image (..., N)."""
     ordered, middle = np.sort(image, axis=-1), image.shape[-1] // 2
     return (ordered[..., middle] + ordered[..., (image.shape[-1] - 1) // 2]) / 2
+
+
+def line_medians(image: np.ndarray, axis: int) -> np.ndarray:
+    """Medians along an axis of image (H, W), by bands of lines: along memory sorting is five times faster, and a sorted copy of
+    the whole would be another image."""
+    lines = image if axis == 1 else image.T
+    return np.concatenate([row_medians(np.ascontiguousarray(lines[i:i + BAND])) for i in range(0, len(lines), BAND)])

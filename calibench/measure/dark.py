@@ -74,21 +74,27 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     refused: list[str] = []
     found = find_defects(ladder, quiet, rules, _fetcher(frames, ledger, refused))
     warm = over_temperature(ladders, ladder, rules)
+    # before the maps are made: with the images it needs they would be the most that is held at a time
+    figures = quantities(ladder, quiet, gain, found, (warm.law, warm.why_not), settings.false_alarms)
     h, w = first.data.shape
-    maps = {"offset_dn": ladder.offset_dn, "offset_uncertainty_dn": np.sqrt(ladder.offset_variance_dn2),
-            "defects": with_clusters(flags((h, w), **found.masks))}
+    maps = {} if quiet is None else {"read_noise_dn": read_noise_map(quiet, found.masks["noisy"])}
+    maps["defects"] = with_clusters(flags((h, w), **found.masks))
+    found = replace(found, masks={})  # they are in the flags now, in a fifth of the memory
+    maps |= {"offset_dn": ladder.offset_dn, "offset_uncertainty_dn": _root(ladder.offset_variance_dn2)}
     if ladder.rate_dn_per_s is not None:
-        maps |= {"dark_rate_dn_per_s": ladder.rate_dn_per_s, "dark_rate_uncertainty_dn_per_s": np.sqrt(ladder.rate_variance)}
-    if quiet is not None:
-        maps["read_noise_dn"] = read_noise_map(quiet, found.masks["noisy"])
+        maps |= {"dark_rate_dn_per_s": ladder.rate_dn_per_s, "dark_rate_uncertainty_dn_per_s": _root(ladder.rate_variance)}
     measured = Measurement(
         name="dark", image_size_px=(w, h), maps=maps, layers=warm.layers, provenance=_provenance(ledger, ladder, warm),
         evidence=_evidence(ladder) | found.evidence | warm.evidence,
-        quantities=quantities(ladder, quiet, gain, found, (warm.law, warm.why_not), settings.false_alarms),
+        quantities=figures,
         warnings=(*_warnings(ledger, ladder, len(groups)), *warm.warnings, *refused,
                   *_blind(found, ladder, unit, settings, np.isfinite(gain.dn_per_e))),
         frames_used=sum(level.count for levels in groups for level in levels), frames_rejected=tuple(ledger.rejected))
     return with_changes(measured, calmap, ("hot", "stuck", "noisy", "telegraph"), "offset_dn")
+
+
+def _root(variance: np.ndarray) -> np.ndarray:
+    return np.sqrt(variance, out=variance)
 
 
 def _collect(frames: Iterable[Frame], settings: Settings) -> tuple[Ledger, list[list[DarkLevel]]]:

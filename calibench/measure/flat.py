@@ -75,14 +75,16 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
     if not kept:
         raise BadInput("the brightest flats are mostly dark signal", mend="take flats of shorter exposure in more light")
     best = lit(min(kept, key=flats.preference), below)
+    points = [_point(v, below) for v in levels
+              if v.freedom and below.noise_known and v.typical_dn < MAX_FILL * first.white_level_dn]
+    used = sum(v.count for v in usable) + sum(v.count for v in (darks.levels if darks else ()))
+    del below, darks  # three images that nothing asks for any more
 
     smooth = illumination(best.signal_dn, first.bayer_pattern)
     response, uncertainty = _response(best, smooth, first.bayer_pattern)
     dead, cold = response < settings.dead, (response >= settings.dead) & (response < settings.cold)
     row, column = defective_lines(dead | cold)
     dust = find_dust(response, dead | cold)
-    points = [_point(v, below) for v in levels
-              if v.freedom and below.noise_known and v.typical_dn < MAX_FILL * first.white_level_dn]
     gains = gain_quantities(points)
     layers = {"gain_dn_per_e": gains[0].value} if gains[0].value else {}
     if any(v.saturated > 0.5 for v in levels):
@@ -107,7 +109,7 @@ def measure(frames: Iterable[Frame], settings: Settings | None = None, calmap: C
                   "dust_xy_px": dust.xy_px, "dust_diameter_px": dust.diameter_px, "dust_depth": dust.depth,
                   "response_histogram_count": counts, "response_histogram_edge": edges},
         provenance=ledger.provenance(), warnings=(*_warnings(ledger, verdicts, best, first, usable), *bright),
-        frames_used=sum(v.count for v in usable) + sum(v.count for v in (darks.levels if darks else ())),
+        frames_used=used,
         frames_rejected=tuple(ledger.rejected))
     return with_changes(measured, calmap, ("dead", "cold"), "response")
 

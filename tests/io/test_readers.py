@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import struct
+import weakref
 from pathlib import Path
 
 import cv2
@@ -15,6 +17,8 @@ from astropy.io import fits
 from calibench import registry
 from calibench.errors import BadInput
 from calibench.io.frames import READERS, read_frame
+from calibench.io.readers import tiff
+from calibench.io.sidecar import sidecar_of
 
 SHAPE = (48, 64)
 
@@ -259,3 +263,16 @@ def test_packed_pixels(tmp_path: Path, packing, bits):
     frame = read_frame(tmp_path / "a.bin")
     np.testing.assert_array_equal(frame.data, data)
     assert (frame.bit_depth, frame.white_level_dn) == (bits, 2.0**bits - 1)
+
+
+def test_a_tiff_lets_go_of_its_bytes_without_the_garbage_collector(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", np.ones((40, 50), np.uint16))
+    raw = np.frombuffer((tmp_path / "a.tif").read_bytes(), np.uint8).copy()
+    gone = weakref.ref(raw)
+    gc.disable()
+    try:
+        tiff.read(memoryview(raw), tmp_path / "a.tif", sidecar_of(tmp_path / "a.tif"))
+        del raw
+        assert gone() is None
+    finally:
+        gc.enable()

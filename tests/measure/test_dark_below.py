@@ -15,7 +15,7 @@ def level(exposure_s, count, seed=0, offset=100.0, rate=2.0):
     rng = np.random.default_rng(seed)
     mean = (offset + rate * (exposure_s or 0.0) + rng.normal(0, 0.1, SHAPE)).astype(np.float32)
     return DarkLevel(exposure_s=exposure_s, group=0, celsius=(), mean_dn=mean, freedom=count - 1,
-                     variance_dn2=np.full(SHAPE, 4.0, np.float32), constant=np.zeros(SHAPE, bool),
+                     variance_dn2=np.full(SHAPE, 4.0, np.float32), constant=np.packbits(np.zeros(SHAPE, bool)),
                      levels_dn=np.full(count, float(mean.mean())))
 
 

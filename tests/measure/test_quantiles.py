@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibench.measure._quantiles import quantiles, row_medians
+from calibench.measure._quantiles import line_medians, quantiles, row_medians
 
 
 def test_quantiles_are_the_nearest_pixels():
@@ -17,3 +17,9 @@ def test_quantiles_are_the_nearest_pixels():
 def test_medians_of_rows(count):
     image = np.random.default_rng(count).normal(size=(3, 5, count)).astype(np.float32)
     np.testing.assert_array_equal(row_medians(image), np.median(image, axis=-1))
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_medians_of_lines_by_bands(axis):
+    image = np.random.default_rng(3).normal(size=(600, 301)).astype(np.float32)
+    np.testing.assert_array_equal(line_medians(image, axis), np.median(image, axis=axis))

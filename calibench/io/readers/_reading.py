@@ -35,8 +35,10 @@ class Reading:
 
 
 class Stream(io.RawIOBase):
-    """Bytes in memory as a file to read from; unlike `io.BytesIO` it does not copy them. Closed it lets go of them, whoever still
-    holds the file: readers leave cycles behind, in which the bytes of twenty frames would wait for the garbage collector."""
+    """Bytes in memory as a file to read from; unlike `io.BytesIO` it does not copy them.
+
+    Closed, it lets go of them: tifffile leaves cycles behind, in which twenty frames would wait for the garbage collector.
+    """
 
     def __init__(self, raw: memoryview):
         self._raw, self._at = raw, 0

@@ -74,13 +74,16 @@ def find_defects(ladder: Ladder, quiet: DarkLevel | None, rules: Rules, fetch: F
     del scale, variance
     significant = z > threshold
     hot = significant & (deviation > rules.limit)
+    hot_at, hot_z = hot, z[hot]
+    counts, edges = _histogram(z)
+    del z
     noisy = _noisy(ladder, quiet, deviation, rules)
     offset_local = defect.background(ladder.offset_dn, rules.bayer_pattern) if known else value - deviation
     stuck = _stuck(ladder, offset_local, hot, rules)
     unsteady, evidence = _unsteady(ladder, significant & ~stuck, (offset_local, deviation), fetch)
     del offset_local
     noisy |= unsteady["hit"]
-    hot &= ~unsteady["hit"]
+    hot = hot & ~unsteady["hit"]
     masks = {"hot": hot, "warm": significant & ~hot & ~unsteady["hit"], "stuck": stuck, "noisy": noisy,
              "telegraph": unsteady["telegraph"] & ~stuck, "nonlinear": _nonlinear(ladder, rules) & ~stuck}
     thesis = []
@@ -90,9 +93,8 @@ def find_defects(ladder: Ladder, quiet: DarkLevel | None, rules: Rules, fetch: F
     masks["row"], masks["column"] = _lines(masks, ladder, rules)
     per_s = "_per_s" if known else ""
     rows, columns = np.nonzero(hot)
-    counts, edges = _histogram(z)
     evidence |= {
-        "hot_xy_px": np.stack([columns, rows], -1), f"hot_excess_dn{per_s}": deviation[hot], "hot_z": z[hot],
+        "hot_xy_px": np.stack([columns, rows], -1), f"hot_excess_dn{per_s}": deviation[hot], "hot_z": hot_z[hot[hot_at]],
         "hot_thesis_count": np.array(thesis),
         "hot_above_limit_count": hot_by_level(ladder, rules),
         "z_histogram_count": counts, "z_histogram_edge": edges,
@@ -128,11 +130,12 @@ def _stuck(ladder: Ladder, offset_local: np.ndarray, hot: np.ndarray, rules: Rul
     """Pinned at the top in every frame, never changing where noise would, or a high offset that no dark rate explains."""
     levels = ladder.levels
     first = levels[0].mean_dn
-    stuck, same = first >= rules.white_dn, levels[0].constant.copy()
+    stuck, bits = first >= rules.white_dn, levels[0].constant
     for level in levels[1:]:
         stuck &= level.mean_dn >= rules.white_dn
-        same &= level.constant & (level.mean_dn == first)
+        bits = bits & level.constant & np.packbits(level.mean_dn == first)
     if ladder.noise_known:
+        same = np.unpackbits(bits, count=first.size).view(bool).reshape(first.shape)
         stuck |= defect.never_changing(same, defect.typical(ladder.variance_dn2[0]), sum(level.count for level in levels))
     if ladder.rate_dn_per_s is not None:
         high = ladder.offset_dn - offset_local > rules.hot_level * rules.white_dn
@@ -203,7 +206,9 @@ def _nonlinear(ladder: Ladder, rules: Rules) -> np.ndarray:
         matters *= np.float32(t * rules.nonlinear)
         np.maximum(matters, noise, out=matters)
         departure -= np.float32(defect.typical(departure))  # what all pixels do together is the sensor's, not the pixel's
-        chosen = np.nonzero(np.abs(departure) > matters)
+        chosen = departure > matters
+        chosen |= departure < np.negative(matters, out=matters)
+        chosen = np.nonzero(chosen)
         spread = 1.4826 * defect.typical(np.abs(_sample(departure)))
         common, floor = np.float32(defect.typical(of_frame)), np.float32(spread**2 + QUANTISATION_DN2)
         sample, chosen_z = (some / np.sqrt(np.maximum(variance - common, 0) / np.float32(count) + floor) for some, variance in (

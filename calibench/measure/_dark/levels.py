@@ -24,7 +24,8 @@ class DarkLevel:
 
     group: number of its temperature. celsius: temperature of each frame that states one. mean_dn, variance_dn2: (H, W)
     float32; the temporal variance of one frame with the common drift taken out, over `freedom` degrees of freedom (None where
-    that is 0). constant: (H, W) bool, the same value in every frame. levels_dn: (N,) mean of each frame.
+    that is 0). constant: which pixels have the same value in every frame, as bits (`np.packbits` of (H, W) bool). levels_dn:
+    (N,) mean of each frame.
     """
 
     exposure_s: float | None
@@ -107,14 +108,14 @@ def dark_level(key: tuple[float | None, int], stack: Accumulator, celsius: Seque
 
 
 def _constant(series: Series) -> np.ndarray:
-    """(H, W) bool: the same value in every frame. The sums tell it; they are looked at only where the noise is small."""
+    """As bits: the same value in every frame. The sums tell it; they are looked at only where the noise is small."""
     stack, out = series.stack, np.ones(series.steady_variance_dn2.shape, bool)
     if series.freedom:
         drift = float(np.var(series.levels_dn)) * stack.count / series.freedom
         few = np.nonzero(series.steady_variance_dn2 <= 1.01 * drift + 1e-3)
         out[:] = False
         out[few] = stack.sum_sq_dn2[few].astype(np.int64) * stack.count == stack.sum_dn[few].astype(np.int64) ** 2
-    return out
+    return np.packbits(out)
 
 
 def _merged(a: DarkLevel, b: DarkLevel) -> DarkLevel:
@@ -128,5 +129,5 @@ def _merged(a: DarkLevel, b: DarkLevel) -> DarkLevel:
             squares += np.float32(part.freedom) * part.variance_dn2
     freedom = a.freedom + b.freedom + 1
     return replace(b, mean_dn=a.mean_dn + np.float32(m / (n + m)) * step, variance_dn2=squares / np.float32(freedom),
-                   freedom=freedom, constant=a.constant & b.constant & (step == 0),
+                   freedom=freedom, constant=a.constant & b.constant & np.packbits(step == 0),
                    levels_dn=np.concatenate([a.levels_dn, b.levels_dn]))

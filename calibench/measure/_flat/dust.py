@@ -37,10 +37,13 @@ class Dust:
 def find_dust(response: np.ndarray, defective: np.ndarray) -> Dust:
     """Shadows in a response map (H, W), mean 1. defective: (H, W) bool, pixels that say nothing of dust."""
     h, w = response.shape
-    filled = np.where(defective, 1, response).astype(np.float32)
-    smooth = cv2.blur(filled, (SIDE_PX, SIDE_PX), borderType=cv2.BORDER_REFLECT) - 1
+    filled = np.where(defective, np.float32(1), response)
+    smooth = cv2.blur(filled, (SIDE_PX, SIDE_PX), borderType=cv2.BORDER_REFLECT)
+    del filled
     smooth -= np.float32(typical(smooth))
-    dark = (-smooth > SIGMA * core_sigma(smooth, None)) & (-smooth > LEAST_DEPTH)
+    limit = core_sigma(smooth, None)
+    limit *= -SIGMA
+    dark = smooth < np.minimum(limit, np.float32(-LEAST_DEPTH), out=limit)
     dark[:BORDER_PX] = dark[-BORDER_PX:] = dark[:, :BORDER_PX] = dark[:, -BORDER_PX:] = False
     label, count = ndimage.label(dark, np.ones((3, 3)))
     found = []

@@ -79,7 +79,8 @@ class FlatLevels:
         for key, stack in self._open.empty():
             self._close(key, stack)
         self.levels.sort(key=lambda level: (level.exposure_s or 0.0, level.level_dn))
-        known = [below for (stated, _), below in self._darks.items() if stated] or list(self._darks.values())
+        darks, self._darks = self._darks, {}  # whoever is done with them need not keep them here
+        known = [below for (stated, _), below in darks.items() if stated] or list(darks.values())
         return max(known, key=lambda below: len(below.levels), default=None)
 
     def preference(self, level: FlatLevel) -> tuple[bool, int, float]:

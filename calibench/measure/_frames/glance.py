@@ -5,6 +5,8 @@ One pass adds up bands of rows; level, block means and what tells a copy follow 
 
 from __future__ import annotations
 
+import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -65,10 +67,10 @@ class Glance:
     @cached_property
     def digest(self) -> int:
         """The same for the same pixels; two frames with noise of their own never share it."""
-        return hash((self.values.shape, self.bands.tobytes()))
+        return hash((self.values.shape, self.blocks_dn.tobytes()))
 
 
-_last: tuple[Frame | None, Glance | None] = (None, None)
+_last: tuple[Callable[[], Frame | None], Glance | None] = (lambda: None, None)
 
 
 def glance(frame: Frame) -> Glance:
@@ -78,9 +80,16 @@ def glance(frame: Frame) -> Glance:
         BadInput: its values are no whole numbers, so that sums would not be exact.
     """
     global _last
-    if _last[0] is not frame:
-        _last = frame, _look(frame)
+    if _last[0]() is not frame:
+        _last = weakref.ref(frame, _forget), _look(frame)
     return _last[1]
+
+
+def _forget(gone: weakref.ref) -> None:
+    """The pixels need not outlive their frame."""
+    global _last
+    if _last[0] is gone:
+        _last = (lambda: None), None
 
 
 def _look(frame: Frame) -> Glance:

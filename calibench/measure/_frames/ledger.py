@@ -41,7 +41,10 @@ class Ledger:
         Raises:
             BadInput: image size, converter depth or gain setting differ from the first frame's.
         """
-        first = self._first = self._first or frame
+        if self._first is None:
+            nothing = np.broadcast_to(frame.data.dtype.type(0), frame.data.shape)  # of no size: the pixels need not stay
+            self._first = dataclasses.replace(frame, data=nothing)
+        first = self._first
         for name, unit in (("image_size_px", " px"), ("bit_depth", " bit"), ("gain_setting", "")):
             mine, theirs = getattr(frame, name), getattr(first, name)
             if mine != theirs:
@@ -74,7 +77,7 @@ class Ledger:
 
     @property
     def first(self) -> Frame:
-        """The first frame, which speaks for all in size, depth and gain.
+        """The first frame, which speaks for all in size, depth and gain, without its pixels (zeros).
 
         Raises:
             BadInput: there was none.
