@@ -11,6 +11,7 @@ from ...records import Frame
 from ...spots.background import background_and_noise
 from .._defects import background, core_sigma, typical
 from .._frames.glance import glance
+from .._quantiles import quantiles, row_medians
 
 MAX_LEVEL = 0.5  # of the range: beyond it no dark
 HIGH_LEVEL = 0.15  # of the range: darker cameras are the rule, so this is said
@@ -78,7 +79,7 @@ def _why_not(frame: Frame) -> str | None:
     if frame.kind in ("flat", "light"):
         return f"this frame says that it is a {frame.kind} frame, not a dark"
     seen, sample = glance(frame), _sample(frame.data)
-    white, level = frame.white_level_dn, float(np.median(sample))
+    white, level = frame.white_level_dn, float(row_medians(sample.ravel()))
     saturated = seen.saturated(white)
     if level > MAX_LEVEL * white:
         return f"no dark frame: its level is {level:.0f} DN of {white:.0f}"
@@ -86,13 +87,13 @@ def _why_not(frame: Frame) -> str | None:
         return f"no dark frame: {100 * saturated:.1f} % of the pixels are saturated"
     if frame.range_assumed and level > 0 and np.mean(sample == level) > MAX_EQUAL:
         return f"no dark frame: nearly every pixel is at {level:.0f} DN, which is the end of its range or no picture at all"
-    low, high = np.percentile(seen.blocks_dn, (2, 98))
+    low, high = quantiles(seen.blocks_dn, (0.02, 0.98))
     guess = max(MAX_STRUCTURE_OF_LEVEL * level, MAX_STRUCTURE_DN)
     if high - low > min(MAX_STRUCTURE * white, guess if frame.range_assumed else np.inf):
         return f"no dark frame: its level runs from {low:.0f} to {high:.0f} DN over the image, light comes in"
     middle = _middle(frame.data)
-    steps = np.abs(np.diff(sample.astype(np.float32), axis=1))  # of neighbours in the sample: a gradient does not count
-    noise = 1.4826 / np.sqrt(2) * float(np.median(steps)) if steps.size else 0.0
+    steps = np.abs(np.diff(sample, axis=1))  # of neighbours in the sample: a gradient does not count
+    noise = 1.4826 / np.sqrt(2) * float(row_medians(steps.ravel())) if steps.size else 0.0
     bright = int(seen.blocks_dn.min() + BRIGHT_SIGMA / 2 * noise)
     if seen.largest <= bright or np.count_nonzero(middle > bright) <= MOST_WIDE:
         return None  # too few bright pixels for so many points, wherever the background is lowest
@@ -103,9 +104,9 @@ def _why_not(frame: Frame) -> str | None:
 
 
 def _sample(data: np.ndarray) -> np.ndarray:
-    """Every so many rows and columns: SAMPLE_PX pixels give the median to 1 % of the noise."""
+    """Every so many rows and columns, float32: SAMPLE_PX pixels give the median to 1 % of the noise."""
     step = max(1, int(np.sqrt(data.size / SAMPLE_PX)))
-    return data[::step, ::step]
+    return data[::step, ::step].astype(np.float32)
 
 
 def _middle(data: np.ndarray) -> np.ndarray:
