@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from datetime import UTC, datetime
 
 from ..errors import Contradiction
 from ..records import Station
+from ..records.frame import utc
 
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 # Two sources agree within this: exposures are rounded in headers (1/30 s as 0.0333), temperatures to a tenth.
@@ -81,16 +81,6 @@ def kind_of(text: str) -> str | None:
     if any(word in words for word in ("light", "object", "science", "sky", "board")):
         return "light"
     return None
-
-
-def utc(date_obs: str) -> datetime:
-    """The instant of an ISO 8601 text; without an offset it is UTC, as in FITS DATE-OBS.
-
-    Raises:
-        ValueError: not an ISO 8601 date.
-    """
-    instant = datetime.fromisoformat(date_obs)
-    return instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant.astimezone(UTC)
 
 
 def _agree(name: str, a: object, b: object) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import BadInput
 from ..records import Frame, Observer, Refraction, Rolling, Station
-from .metadata import utc
+from ..records.frame import utc
 
 JD_J2000 = 2451545.0
 DAYS_PER_JULIAN_YEAR = 365.25

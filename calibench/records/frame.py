@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -122,3 +123,13 @@ class CorrectedFrame:
         shape = np.shape(self.signal_dn)
         settle(self, **{n: frozen(getattr(self, n), name=f"CorrectedFrame.{n}", shape=shape)
                         for n in ("signal_dn", "variance_dn2", "defects")})
+
+
+def utc(date_obs: str) -> datetime:
+    """The instant of an ISO 8601 text; without an offset it is UTC, as in FITS DATE-OBS.
+
+    Raises:
+        ValueError: not an ISO 8601 date.
+    """
+    instant = datetime.fromisoformat(date_obs)
+    return instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant.astimezone(UTC)

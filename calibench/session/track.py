@@ -8,8 +8,8 @@ from time import perf_counter
 from ..calmap.conditions import outside_conditions
 from ..calmap.correct import correction_warnings
 from ..calmap.windows import like
-from ..io.metadata import utc
 from ..records import CalibrationMap, Frame
+from ..records.frame import utc
 from ..stars.solve import Solution, pointing_of
 from ..stars.tracking.tracker import Tracker
 from .sky import Sky, SolvedFrame

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import BadInput
 from ..geometry import sphere
-from ..records import Frame
+from ..records import CalibrationMap, Frame, Intrinsics
 from ..records.arrays import frozen, settle
 from ..stars.solve import Solution
 
@@ -51,3 +52,14 @@ def cross_error_rad(solution: Solution, truth: SkyTruth) -> float:
 def roll_error_rad(solution: Solution, truth: SkyTruth) -> float:
     """Solved minus true roll, in (-pi, pi]."""
     return float(np.angle(np.exp(1j * (solution.roll_rad - truth.roll_rad))))
+
+
+def the_lens(calmap: CalibrationMap, who: str) -> Intrinsics:
+    """The map's lens.
+
+    Raises:
+        BadInput: it has none; who: what needs it.
+    """
+    if "intrinsics" not in calmap.measured:
+        raise BadInput(f"{who} needs the map's lens", mend="measure intrinsics into the map")
+    return calmap.intrinsics

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..geometry import projection, rotation
-from ..records import Identification, Intrinsics, Spots
+from ..records import CalibrationMap, Identification, Intrinsics, Spots
 from ..stars.lost_in_space import ready
 from ..stars.sky_catalogue import SkyCatalogue
 
@@ -23,6 +23,21 @@ class Condition(NamedTuple):
     false: int = 0
     missing: float = 0.0
     most: int = 60
+
+
+CONDITIONS = {
+    "clean": Condition(),
+    "noise 0.05 px": Condition(noise_px=0.05), "noise 0.5 px": Condition(noise_px=0.5), "noise 1 px": Condition(noise_px=1.0),
+    "5 false": Condition(false=5), "20 false": Condition(false=20),
+    "20 % missing": Condition(missing=0.2), "50 % missing": Condition(missing=0.5),
+    "5 false, 30 % missing": Condition(false=5, missing=0.3),
+    "4 stars": Condition(most=4), "6 stars": Condition(most=6), "8 stars": Condition(most=8), "30 stars": Condition(most=30),
+}
+
+
+def variants(calmap: CalibrationMap) -> dict[str, Condition]:
+    """The conditions that a trial of methods tries, whatever the map."""
+    return CONDITIONS
 
 
 def bright_sky(sky: SkyCatalogue) -> SkyCatalogue:

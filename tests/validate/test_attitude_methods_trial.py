@@ -8,6 +8,7 @@ from calibench.io.star_table import load_star_table
 from calibench.records import CalibrationMap, Intrinsics, Observer
 from calibench.stars.lost_in_space import LostInSpace
 from calibench.stars.sky_catalogue import SkyCatalogue
+from calibench.validate import simulated_spots
 from calibench.validate.simulated_spots import Condition
 from calibench.validate.trials import attitude_methods
 
@@ -17,7 +18,7 @@ CALMAP = CalibrationMap(image_size_px=(752, 480), intrinsics=LENS, measured=froz
 
 def test_errors_follow_the_noise_and_error_bars_hold(monkeypatch):
     monkeypatch.setattr(attitude_methods, "FRAMES", 12)
-    monkeypatch.setattr(attitude_methods, "CONDITIONS", {"clean": Condition(), "noise 1 px": Condition(noise_px=1.0)})
+    monkeypatch.setattr(simulated_spots, "CONDITIONS", {"clean": Condition(), "noise 1 px": Condition(noise_px=1.0)})
     finder = LostInSpace(sky=SkyCatalogue.seen_by(load_star_table(), Observer()))
     found, _ = attitude_methods.trial([None], CALMAP, lambda case: finder)
     row = {(r[0], r[1]): dict(zip(found.columns, r, strict=True)) for r in found.rows}

@@ -9,6 +9,7 @@ from calibench.io.star_table import load_star_table
 from calibench.records import CalibrationMap, Identification, Intrinsics, Observer
 from calibench.stars.lost_in_space import LostInSpace
 from calibench.stars.sky_catalogue import SkyCatalogue
+from calibench.validate import simulated_spots
 from calibench.validate.simulated_spots import Condition, is_wrong, look
 from calibench.validate.trials import identifiers
 
@@ -23,7 +24,8 @@ def sky() -> SkyCatalogue:
 
 def test_every_identifier_is_compared_and_none_is_wrong(sky, monkeypatch):
     monkeypatch.setattr(identifiers, "FRAMES", 2)
-    monkeypatch.setattr(identifiers, "CONDITIONS", {name: identifiers.CONDITIONS[name] for name in ("clean", "4 stars")})
+    few = {name: simulated_spots.CONDITIONS[name] for name in ("clean", "4 stars")}
+    monkeypatch.setattr(simulated_spots, "CONDITIONS", few)
     found, _ = identifiers.trial([None], CALMAP, lambda case: LostInSpace(sky=sky))
     rows = [dict(zip(found.columns, row, strict=True)) for row in found.rows]
     names = list(registry.names("calibench.stars.identify"))

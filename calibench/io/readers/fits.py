@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import BadInput
-from ..metadata import BAYER_PATTERNS, FrameMetadata, kind_of, merge, utc
+from ...records.frame import utc
+from ..metadata import BAYER_PATTERNS, FrameMetadata, kind_of, merge
 from ..sidecar import Sidecar
 from ._reading import TRUNCATED_MEND, Reading, check_claim, decoding, frame_values
 

@@ -7,9 +7,9 @@ is a thousand times too good.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
 
 from ...errors import BadInput
+from ...records.frame import utc
 
 FEWEST = 3  # different times; fewer may be one stamp for all
 SURELY, DOUBTFUL = 0.1, 0.9  # of the exposures' sum: what passed from the first start to the last
@@ -24,7 +24,7 @@ def check_clock(taken: Sequence[tuple[str, float]]) -> tuple[str, ...]:
     Raises:
         BadInput: there was no time for a tenth of the exposures.
     """
-    frames = sorted((_seconds(date), exposure_s) for date, exposure_s in taken)
+    frames = sorted((utc(date).timestamp(), exposure_s) for date, exposure_s in taken)
     starts = {start for start, _ in frames}
     if len(starts) < FEWEST:
         return ()
@@ -33,8 +33,3 @@ def check_clock(taken: Sequence[tuple[str, float]]) -> tuple[str, ...]:
     if passed_s < SURELY * exposed_s:
         raise BadInput(said, mend="give exposures in seconds; are the times those of the camera (date_obs, DATE-OBS)?")
     return (f"{said}: are the exposures in seconds?",) if passed_s < DOUBTFUL * exposed_s else ()
-
-
-def _seconds(date_obs: str) -> float:
-    instant = datetime.fromisoformat(date_obs)
-    return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()

@@ -8,8 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ...validate.case import Trial
-from ...validate.simulated_spots import Condition
-from ...validate.trials.identifiers import CONDITIONS
+from ...validate.simulated_spots import CONDITIONS, Condition
 from ..draw import FAINT
 
 LABELS = {"noise_px": "centroid noise (px)", "false": "false spots", "missing": "part of the stars missing (%)",

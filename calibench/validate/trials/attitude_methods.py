@@ -13,22 +13,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ... import registry
-from ...errors import BadInput
 from ...geometry import rotation
 from ...records import Attitude, CalibrationMap, Identification
 from ...stars.frame_attitude import attitude_without_outliers
 from ...stars.lost_in_space import LostInSpace
-from ..case import ARCSEC, SkyCase, Trial
-from ..simulated_spots import Condition, bright_sky, look
-from .identifiers import CONDITIONS
+from ..case import ARCSEC, SkyCase, Trial, the_lens
+from ..simulated_spots import bright_sky, look, variants
 
 FRAMES = 40  # of each condition
 COLUMNS = ("condition", "method", "frames", "solved", "cross_arcsec", "roll_arcsec", "nees", "cpu_ms")
-
-
-def variants(calmap: CalibrationMap) -> dict[str, Condition]:
-    """The conditions that are tried."""
-    return CONDITIONS
 
 
 def trial(cases: Sequence[SkyCase], calmap: CalibrationMap, finders: Callable[[SkyCase], LostInSpace],
@@ -38,9 +31,8 @@ def trial(cases: Sequence[SkyCase], calmap: CalibrationMap, finders: Callable[[S
     Raises:
         BadInput: the map has no lens.
     """
-    if "intrinsics" not in calmap.measured:
-        raise BadInput("the comparison of attitude methods needs the map's lens", mend="measure intrinsics into the map")
-    finder, lens, rows = LostInSpace(sky=bright_sky(finders(cases[0]).sky)), calmap.intrinsics, []
+    lens = the_lens(calmap, "the comparison of attitude methods")
+    finder, rows = LostInSpace(sky=bright_sky(finders(cases[0]).sky)), []
     for name, condition in variants(calmap).items():
         frames = []
         for seed in range(FRAMES):

@@ -15,10 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...errors import BadInput
 from ...records import CalibrationMap, Intrinsics
 from ...stars.lost_in_space import LostInSpace
-from ..case import SkyCase, Trial
+from ..case import SkyCase, Trial, the_lens
 from ..simulated_spots import Condition, bright_sky, is_wrong, look
 
 SETS = 400  # of spots, of either kind
@@ -58,9 +57,7 @@ def trial(cases: Sequence[SkyCase], calmap: CalibrationMap, finders: Callable[[S
     Raises:
         BadInput: the map has no lens.
     """
-    if "intrinsics" not in calmap.measured:
-        raise BadInput("the count of false matches needs the map's lens", mend="measure intrinsics into the map")
-    finder, lens, rows = finders(cases[0]), calmap.intrinsics, []
+    finder, lens, rows = finders(cases[0]), the_lens(calmap, "the count of false matches"), []
     finder = LostInSpace(sky=bright_sky(finder.sky), method=finder.method)
     for name, tried in variants(calmap).items():
         counts = sum(tried(finder, lens, np.random.default_rng([9, seed])).astype(int) for seed in range(SETS))

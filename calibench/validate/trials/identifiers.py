@@ -14,27 +14,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ... import registry
-from ...errors import BadInput
 from ...records import CalibrationMap, Spots
 from ...stars.lost_in_space import LostInSpace, ready
-from ..case import SkyCase, Trial
-from ..simulated_spots import Condition, bright_sky, is_wrong, look
+from ..case import SkyCase, Trial, the_lens
+from ..simulated_spots import Condition, bright_sky, is_wrong, look, variants
 
 FRAMES = 20  # of each condition
 COLUMNS = ("condition", "identifier", "frames", "solved_percent", "wrong", "cpu_ms", "table_mb", "table_s")
-CONDITIONS = {
-    "clean": Condition(),
-    "noise 0.05 px": Condition(noise_px=0.05), "noise 0.5 px": Condition(noise_px=0.5), "noise 1 px": Condition(noise_px=1.0),
-    "5 false": Condition(false=5), "20 false": Condition(false=20),
-    "20 % missing": Condition(missing=0.2), "50 % missing": Condition(missing=0.5),
-    "5 false, 30 % missing": Condition(false=5, missing=0.3),
-    "4 stars": Condition(most=4), "6 stars": Condition(most=6), "8 stars": Condition(most=8), "30 stars": Condition(most=30),
-}
-
-
-def variants(calmap: CalibrationMap) -> dict[str, Condition]:
-    """The conditions that are tried."""
-    return CONDITIONS
 
 
 def trial(cases: Sequence[SkyCase], calmap: CalibrationMap, finders: Callable[[SkyCase], LostInSpace],
@@ -44,9 +30,7 @@ def trial(cases: Sequence[SkyCase], calmap: CalibrationMap, finders: Callable[[S
     Raises:
         BadInput: the map has no lens.
     """
-    if "intrinsics" not in calmap.measured:
-        raise BadInput("the comparison of identifiers needs the map's lens", mend="measure intrinsics into the map")
-    lens, sky = calmap.intrinsics, bright_sky(finders(cases[0]).sky)
+    lens, sky = the_lens(calmap, "the comparison of identifiers"), bright_sky(finders(cases[0]).sky)
     known, tables = ready(lens)[0].view(Spots.none()), {}
     for method in registry.names("calibench.stars.identify"):
         finder, begin = LostInSpace(sky=sky, method=method), time.process_time()

@@ -24,7 +24,7 @@ from ...stars.identify import _triangles, area_polar_moment
 from ...stars.lost_in_space import LostInSpace
 from ...stars.sky_catalogue import SkyCatalogue
 from ...stars.view import KnownLens, View
-from ..case import SkyCase, Trial
+from ..case import SkyCase, Trial, the_lens
 
 BRIGHTEST = 4.0
 MERGED_PX = 3.0  # doubles closer than this make one spot
@@ -55,9 +55,7 @@ def trial(cases: Sequence[SkyCase], calmap: CalibrationMap, finders: Callable[[S
     Raises:
         BadInput: the map has no lens, or its field holds too few groups.
     """
-    if "intrinsics" not in calmap.measured:
-        raise BadInput("the tolerance study needs the map's lens", mend="measure intrinsics into the map")
-    lens = KnownLens(calmap.intrinsics)
+    lens = KnownLens(the_lens(calmap, "the tolerance study"))
     width, height = calmap.image_size_px
     table = finders(cases[0]).sky.table
     seen = camera_table(table, faintest_hp=BRIGHTEST, part_rad=MERGED_PX / calmap.intrinsics.fx_px).table
